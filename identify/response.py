@@ -1,0 +1,107 @@
+"""The data type of the house: a 2x2 complex response, frequency first, frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+Frame = Literal["pn", "dq"]
+STATUSES = ("ok", "not_settled", "nonlinear", "ill_conditioned", "noisy", "diverged", "failed")
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyResponse:
+    """2x2 admittance of one operating point; row = response, column = excitation.
+
+    Attributes
+    ----------
+    f_hz : (n,) float
+        Frequency of the first component, strictly increasing (Hz). In the dq frame it is the
+        frequency seen from the rotating frame, f - f1, and may be negative.
+    y : (n, 2, 2) complex
+        Admittance in S, load direction; NaN where the point failed. In the pn frame the second
+        component is the conjugate at the mirror 2 f1 - f (`conventions`, paper eq. 1).
+    f1_hz : float
+        Fundamental frequency (Hz).
+    frame : "pn" or "dq"
+        Frame of ``y``.
+    covariance : (n, 8, 8) float
+        Covariance in S^2 over (re, im) of pp, pn, np, nn; NaN where unknown.
+    status, reason : (n,) str
+        One of `STATUSES`, and the reason where it is not "ok".
+    quality : mapping of str to (n,) arrays
+        The table's further columns: amplitude_pu, n_periods, window_s, cond_v, linearity, residual.
+    meta : mapping
+        At least ``op_id``; provenance as in the table's metadata.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, frequencies do not increase or a status is unknown.
+    """
+
+    f_hz: np.ndarray
+    y: np.ndarray
+    f1_hz: float
+    frame: Frame = "pn"
+    covariance: np.ndarray | None = None
+    status: np.ndarray | None = None
+    reason: np.ndarray | None = None
+    quality: Mapping[str, np.ndarray] = field(default_factory=dict)
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        f_hz = _locked(self.f_hz, float)
+        n = len(f_hz)
+        defaults = {
+            "f_hz": f_hz,
+            "y": _locked(self.y, complex),
+            "covariance": _locked(np.full((n, 8, 8), np.nan) if self.covariance is None else self.covariance, float),
+            "status": _locked(np.full(n, "ok") if self.status is None else self.status, str),
+            "reason": _locked(np.full(n, "") if self.reason is None else self.reason, str),
+            "quality": {name: _locked(column) for name, column in self.quality.items()},
+            "meta": dict(self.meta),
+        }
+        for name, value in defaults.items():
+            object.__setattr__(self, name, value)
+        _check(self)
+
+    def __len__(self) -> int:
+        return len(self.f_hz)
+
+    @property
+    def ok(self) -> np.ndarray:
+        """(n,) bool: rows with status "ok"."""
+        return np.asarray(self.status) == "ok"
+
+    @property
+    def f_mirror_hz(self) -> np.ndarray:
+        """(n,) signed frequency 2 f1 - f of the second component (Hz); pn frame."""
+        return 2.0 * self.f1_hz - self.f_hz
+
+
+def _locked(values: Any, dtype: type | None = None) -> np.ndarray:
+    """Copy, then lock the copy: the caller's array stays the caller's."""
+    array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+def _check(response: FrequencyResponse) -> None:
+    n = len(response.f_hz)
+    expected = {"f_hz": (n,), "y": (n, 2, 2), "covariance": (n, 8, 8), "status": (n,), "reason": (n,)}
+    for name, shape in expected.items():
+        given = getattr(response, name).shape
+        if given != shape:
+            raise ValueError(f"{name} has shape {given}; {n} frequencies need {shape}")
+    for name, column in response.quality.items():
+        if column.shape != (n,):
+            raise ValueError(f"quality[{name!r}] has shape {column.shape}; {n} frequencies need {(n,)}")
+    if np.any(np.diff(response.f_hz) <= 0):
+        raise ValueError("f_hz must increase strictly: sort it and remove duplicates")
+    unknown = sorted(set(np.asarray(response.status).tolist()) - set(STATUSES))
+    if unknown:
+        raise ValueError(f"unknown status {unknown[0]!r}; known: {', '.join(STATUSES)}")

@@ -1,0 +1,245 @@
+"""The promise of a plant: settle once, branch many times, mutate nothing.
+
+Everything above this folder knows a plant by this file alone. Quantities are SI; space vectors
+follow the phase-peak convention ``x = x_alpha + 1j*x_beta`` and the current is positive into the
+device under test (load direction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+InjectionKind = Literal["series_voltage", "shunt_current"]
+SourceDirection = Literal["load", "generator"]
+
+
+@dataclass(frozen=True, slots=True)
+class Rating:
+    """What one per unit means.
+
+    Attributes
+    ----------
+    voltage_v : float
+        Rated line-to-line RMS voltage (V).
+    power_va : float
+        Rated apparent power (VA).
+    """
+
+    voltage_v: float
+    power_va: float
+
+    @property
+    def peak_voltage_v(self) -> float:
+        """Rated phase-peak voltage, sqrt(2/3) U (V)."""
+        return sqrt(2.0 / 3.0) * self.voltage_v
+
+    @property
+    def peak_current_a(self) -> float:
+        """Rated phase-peak current, sqrt(2) S / (sqrt(3) U) (A)."""
+        return sqrt(2.0 / 3.0) * self.power_va / self.voltage_v
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """A stationary condition of the device.
+
+    Attributes
+    ----------
+    active_power_w : float
+        Active power out of the device (W); what is metered is the plant's ``power_meaning``.
+    terminal_voltage_v : float or None
+        |v_pcc| as line-to-line RMS (V); None where the source fixes its own voltage instead.
+    """
+
+    active_power_w: float
+    terminal_voltage_v: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingRange:
+    """Closed intervals in which a plant may be asked to settle: (lowest, highest)."""
+
+    active_power_w: tuple[float, float]
+    terminal_voltage_v: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What feeds the PCC.
+
+    Attributes
+    ----------
+    kind : "ideal" or "thevenin"
+        An ideal source holds v_pcc itself; a Thevenin source stands behind r + s l.
+    r_ohm, l_h : float
+        Series impedance of a Thevenin source (ohm, H).
+    voltage_v : float or None
+        Source voltage, line-to-line RMS (V). None: it follows from the operating point's |v_pcc|.
+    angle_rad : float
+        Angle of the source voltage's space vector at time zero (rad).
+    """
+
+    kind: Literal["ideal", "thevenin"] = "ideal"
+    r_ohm: float = 0.0
+    l_h: float = 0.0
+    voltage_v: float | None = None
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """One rotating perturbation ``amplitude * exp(1j*(2*pi*f_hz*t + phase_rad))``.
+
+    ``f_hz`` is signed (+ positive sequence, - negative sequence); ``amplitude`` is a phase peak
+    (V or A); ``t`` is the time of the plant's state, not the time since the branch.
+    """
+
+    f_hz: float
+    amplitude: float
+    phase_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """A perturbation: tones added to the source voltage, or driven as current into the PCC."""
+
+    kind: InjectionKind
+    tones: tuple[Tone, ...]
+
+
+class State(Protocol):
+    """A value from which a plant can go on; opaque but for its time. Never mutated."""
+
+    @property
+    def time_s(self) -> float: ...
+
+
+class Job(NamedTuple):
+    """One experiment: branch from ``state`` under ``injection`` (None: unperturbed)."""
+
+    state: Any
+    injection: Injection | None
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """PCC waveforms as space vectors, uniformly sampled.
+
+    Attributes
+    ----------
+    t0_s, dt_s : float
+        Time of the first sample and the sampling step (s).
+    v, i : (n,) complex
+        Voltage (V) and current (A) as phase-peak space vectors, current in load direction.
+    f1_hz : float
+        Fundamental frequency (Hz).
+    source_direction : "load" or "generator"
+        The direction in which the current was found; ``i`` is load direction whatever it says.
+    origin : str
+        Where the record comes from, for people.
+    """
+
+    t0_s: float
+    dt_s: float
+    v: np.ndarray
+    i: np.ndarray
+    f1_hz: float
+    source_direction: SourceDirection = "load"
+    origin: str = ""
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Sample times (n,) in s."""
+        return self.t0_s + self.dt_s * np.arange(len(self.v))
+
+
+class Window(NamedTuple):
+    """How a job is listened to: the line, and the length of its tapered windows.
+
+    ``f_hz`` is signed; the mirror 2 f1 - f is always listened to as well. Windows follow one
+    another from the job's start, each ``n_blocks`` blocks long.
+    """
+
+    f_hz: float
+    n_blocks: int
+
+
+@dataclass(frozen=True, slots=True)
+class Phasors:
+    """Sums over blocks of tapered, demodulated samples; consecutive blocks add up to windows.
+
+    Attributes
+    ----------
+    v, i : (n_blocks, 2) complex
+        ``sum_k w_k x_k exp(-2j*pi*f*t_k) dt / window`` of one block; columns: f and 2 f1 - f. Adding
+        the ``Window.n_blocks`` blocks of one window gives the phasors (V, A).
+    """
+
+    v: np.ndarray
+    i: np.ndarray
+
+
+@runtime_checkable
+class Plant(Protocol):
+    """A device at the end of two terminals, driven in time.
+
+    A plant mutates nothing: the same job gives the same answer, whatever ran before it or
+    beside it. Wrong calls raise ``ValueError``; what physics refuses raises `NotSettled`.
+    """
+
+    id: str
+    f1_hz: float
+    dt_s: float
+    rating: Rating
+    operating_range: OperatingRange
+    power_meaning: str
+
+    def settle(self, operating_point: OperatingPoint, source: Source) -> Any:
+        """Return the certified periodic steady state; raise `NotSettled` where there is none."""
+        ...
+
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[Any, Record]]:
+        """Run every job ``n_steps`` further; records hold the samples at steps 0 ... n_steps - 1."""
+        ...
+
+
+@runtime_checkable
+class PhasorPlant(Plant, Protocol):
+    """Optional capability: phasors accumulated while stepping, no waveform in memory."""
+
+    def run_phasors(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
+    ) -> list[tuple[Any, Phasors]]:
+        """Run every job ``n_blocks`` blocks of ``block_steps`` steps further, one window each."""
+        ...
+
+
+@runtime_checkable
+class RecordSource(Protocol):
+    """Something that has records to offer but cannot be driven: files, a laboratory."""
+
+    def records(self) -> Sequence[Record]: ...
+
+
+class NotSettled(Exception):
+    """The device has no certified steady state here; wrong physics, not a wrong call.
+
+    Attributes
+    ----------
+    status : "not_settled" or "diverged"
+        What the table shows for the operating point's rows.
+    """
+
+    def __init__(self, reason: str, status: Literal["not_settled", "diverged"] = "not_settled"):
+        super().__init__(reason)
+        self.status = status
+
+
+def reactance_to_inductance(x_ohm: float, f1_hz: float) -> float:
+    """Inductance (H) whose reactance at ``f1_hz`` is ``x_ohm``."""
+    return x_ohm / (2.0 * pi * f1_hz)

@@ -1,0 +1,1 @@
+"""The campaign: configuration, frequency grid, plan, runner, report and command line."""
