@@ -1,0 +1,1 @@
+"""From the table to decisions: verdict, margins, poles and the damping gain."""
