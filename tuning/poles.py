@@ -1,0 +1,149 @@
+"""Closed-loop poles of the fitted device on an R-L grid, with damping and standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.fit import RationalModel, derivative, evaluate, gradient
+from .siso import Grid, check_fundamental, impedance_dq
+
+RESONANCE_FROM_HZ = 5.0
+"""Modes below this frequency in dq are slow modes, not resonances (Hz)."""
+
+_J = np.array([[0.0, -1.0], [1.0, 0.0]])
+_INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
+
+
+class Shape(NamedTuple):
+    """Null vectors of Y + Yg at a closed-loop pole: ``left @ M = 0``, ``M @ right = 0``, and left @ M' @ right."""
+
+    left: np.ndarray
+    right: np.ndarray
+    slope: complex
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """Closed-loop poles in the dq frame.
+
+    Attributes
+    ----------
+    f1_hz : float
+        Fundamental frequency (Hz).
+    poles : (m,) complex
+        Poles with Im >= 0 (rad/s), largest real part first; the conjugates are implied.
+    std : (m,) complex
+        Standard errors, real part + 1j imaginary part (rad/s).
+    """
+
+    f1_hz: float
+    poles: np.ndarray
+    std: np.ndarray
+
+    @property
+    def damping(self) -> np.ndarray:
+        """(m,) damping ratios -Re/|pole|."""
+        return -self.poles.real / np.maximum(np.abs(self.poles), 1e-300)
+
+    @property
+    def f_hz(self) -> np.ndarray:
+        """(m,) frequencies in the dq frame (Hz)."""
+        return self.poles.imag / (2.0 * np.pi)
+
+    @property
+    def n_unstable(self) -> int:
+        """Poles in the right half-plane, conjugates counted."""
+        unstable = self.poles[self.poles.real > 0.0]
+        return int(len(unstable) + np.sum(unstable.imag > 0.0))
+
+    @property
+    def critical(self) -> int | None:
+        """Index of the resonance pole: largest real part among 5 Hz < Im/2pi < f1 - 1 Hz; None if there is none."""
+        among = np.flatnonzero((self.f_hz > RESONANCE_FROM_HZ) & (self.f_hz < self.f1_hz - 1.0))
+        return int(among[0]) if len(among) else None
+
+    @property
+    def resonance_hz(self) -> tuple[float, float] | None:
+        """The resonance pair f1 -+ |Im|/2pi in phase quantities (Hz)."""
+        if self.critical is None:
+            return None
+        nu = float(self.f_hz[self.critical])
+        return self.f1_hz - nu, self.f1_hz + nu
+
+    @property
+    def slow(self) -> np.ndarray:
+        """(k,) indices of the slow modes, Im/2pi <= 5 Hz."""
+        return np.flatnonzero(self.f_hz <= RESONANCE_FROM_HZ)
+
+
+def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
+    """Poles of device and grid, roots of det(1 + Y Z) = 0, with standard errors by the delta method."""
+    poles = closed_loop_poles(model, grid)
+    upper = poles[poles.imag >= 0.0]
+    upper = upper[np.argsort(-upper.real)]
+    return ClosedLoop(model.f1_hz, upper, np.array([_standard_error(model, grid, p) for p in upper]))
+
+
+def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:
+    """Closed-loop poles (m,) in rad/s, dq frame, conjugates included.
+
+    Notes
+    -----
+    With i = C x + D v + E v', x' = A x + B v and v = -(R + w1 L J) i - L i' the poles are the finite generalised
+    eigenvalues of a descriptor pencil in (x, i, v). It is inverted about a point in the right half-plane, so that a
+    plain eigenvalue routine serves and the infinite ones become zeros. A residue of rank one takes one state.
+    """
+    check_fundamental(model.f1_hz, grid)
+    a, b, c = _states(model)
+    n = len(a)
+    m = np.zeros((n + 4, n + 4), dtype=complex)
+    e = np.zeros((n + 4, n + 4), dtype=complex)
+    state, current, voltage = slice(0, n), slice(n, n + 2), slice(n + 2, n + 4)
+    m[state, state], m[state, voltage] = np.diag(a), b
+    m[current, state], m[current, current], m[current, voltage] = -c, np.eye(2), -model.d
+    m[voltage, current], m[voltage, voltage] = -(grid.r_ohm * np.eye(2) + grid.x_ohm * _J), -np.eye(2)
+    e[state, state] = np.eye(n)
+    e[current, voltage] = model.e
+    e[voltage, current] = grid.l_h * np.eye(2)
+    about = 0.7 * grid.w1_rad_s
+    inverse = np.linalg.eigvals(np.linalg.solve(m - about * e, e))
+    poles = about + 1.0 / inverse[np.abs(inverse) > 1.0 / _INFINITE]
+    poles[np.abs(poles.imag) < 1e-9 * np.abs(poles)] = poles[np.abs(poles.imag) < 1e-9 * np.abs(poles)].real
+    return poles
+
+
+def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
+    """Left and right null vectors of Y + Yg at a closed-loop pole, dq frame."""
+    z_inverse = np.linalg.inv(impedance_dq(grid, np.array([pole]))[0])
+    u, _, vh = np.linalg.svd(evaluate(model, np.array([pole]))[0] + z_inverse)
+    left, right = u[:, 1].conj(), vh[1].conj()
+    slope = derivative(model, pole) - grid.l_h * z_inverse @ z_inverse
+    return Shape(left, right, complex(left @ slope @ right))
+
+
+def pole_gradient(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
+    """Derivative of a closed-loop pole with respect to the model's real parameters, (k,) complex."""
+    shape = mode_shape(model, grid, pole)
+    return -gradient(model, pole, shape.left, shape.right) / shape.slope
+
+
+def _standard_error(model: RationalModel, grid: Grid, pole: complex) -> complex:
+    g = pole_gradient(model, grid, pole)
+    both = np.stack([g.real, g.imag])
+    variance = np.einsum("ij,jk,ik->i", both, model.covariance, both)
+    real, imag = np.sqrt(np.maximum(variance, 0.0))
+    return complex(real, imag)
+
+
+def _states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diagonal A (n,), B (n, 2), C (2, n) with as many states per pole as its residue has rank."""
+    u, singular, vh = np.linalg.svd(model.residues)
+    kept = np.arange(2) < model.ranks[:, None]
+    root = np.sqrt(singular)
+    a = np.repeat(model.poles[:, None], 2, axis=1)[kept]
+    b = (root[:, :, None] * vh)[kept]
+    c = np.swapaxes(u * root[:, None, :], 1, 2)[kept].T
+    return a, b, c
