@@ -162,11 +162,13 @@ class Window(NamedTuple):
     """How a job is listened to: the line, and the length of its tapered windows.
 
     ``f_hz`` is signed; the mirror 2 f1 - f is always listened to as well. Windows follow one
-    another from the job's start, each ``n_blocks`` blocks long.
+    another, each ``n_blocks`` blocks long; ``first_block`` is the job's first block, counted from
+    the start of a window (a job that goes on in the middle of one).
     """
 
     f_hz: float
     n_blocks: int
+    first_block: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,350 @@
+"""``dpmsg-v1``: the reference wind turbine (D-PMSG with back-to-back converters) of the paper.
+
+White to us, black to everything above this folder. Equations and parameters: docs/turbine.md. The
+plant works in the dq frame at w1 and in power-invariant quantities; records leave it as phase-peak
+space vectors in load direction.
+"""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+
+from . import dpmsg_equilibrium as equilibrium
+from .dpmsg_parameters import TABLE_I, TurbineParameters
+from .protocol import (
+    Injection,
+    Job,
+    NotSettled,
+    OperatingPoint,
+    OperatingRange,
+    Phasors,
+    Rating,
+    Record,
+    Source,
+    Window,
+)
+
+_PHASE_PEAK = sqrt(2.0 / 3.0)
+"""Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
+
+_RESIDUAL_LIMIT = 1e-9
+"""Largest change over one period, relative to rated, of a certified steady state."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurbineState:
+    """All states of the turbine and what it is connected to; opaque to everybody else.
+
+    Attributes
+    ----------
+    step : int
+        Steps since time zero.
+    time_s : float
+        Time (s).
+    values : (17,) float
+        The kernel's states, read-only.
+    wind_m_s : float
+        Wind speed (m/s).
+    v_source : complex
+        Source voltage in the dq frame (V, power-invariant).
+    source : Source
+        What feeds the PCC.
+    """
+
+    step: int
+    time_s: float
+    values: np.ndarray
+    wind_m_s: float
+    v_source: complex
+    source: Source
+
+
+class ReferenceTurbine:
+    """The complete D-PMSG of Table I on an ideal or a Thevenin source.
+
+    Parameters
+    ----------
+    dt_s : float
+        Step (s); the classical Runge-Kutta method of order four is stable to about 0.5 ms.
+    **parameters : float
+        Fields of `TurbineParameters` to replace, e.g. ``k_pp=0.1``.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is unknown or the step is not positive.
+    """
+
+    id = "dpmsg-v1"
+    power_meaning = "P_machine = Re(v_conv conj(i_L)): power of the lossless converters, not of the PCC"
+
+    def __init__(self, dt_s: float = 50e-6, **parameters: float):
+        unknown = sorted(set(parameters) - set(TurbineParameters._fields))
+        if unknown:
+            raise ValueError(
+                f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(TurbineParameters._fields)}"
+            )
+        if not 0.0 < dt_s <= 5e-4:
+            raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
+        self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
+        self.dt_s = float(dt_s)
+        self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
+        self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
+        u = self.parameters.u_rated_v
+        self.operating_range = OperatingRange((0.05e6, 1.35e6), (0.85 * u, 1.15 * u))
+
+    # ------------------------------------------------------------------ steady state
+
+    def settle(self, operating_point: OperatingPoint, source: Source) -> TurbineState:
+        """The equilibrium at ``operating_point``, certified over a period and found stable.
+
+        Raises
+        ------
+        ValueError
+            If the operating point is outside `operating_range`, or says |v_pcc| twice or not at all.
+        NotSettled
+            If there is no equilibrium ("not_settled") or it is unstable ("diverged").
+        """
+        state = self.equilibrium(operating_point, source)
+        self._certify(state)
+        return state
+
+    def equilibrium(self, operating_point: OperatingPoint, source: Source) -> TurbineState:
+        """The equilibrium at ``operating_point``, stable or not."""
+        p = self.parameters
+        power_w, terminal_voltage_v = operating_point.active_power_w, self._terminal_voltage(operating_point, source)
+        self._check_range(power_w, terminal_voltage_v)
+        machine = equilibrium.machine_equilibrium(p, power_w)
+        grid_side = equilibrium.grid_side_equilibrium(p, power_w, terminal_voltage_v)
+        self._check_limits(grid_side)
+        v_source = grid_side.v_pcc
+        if source.kind == "thevenin":
+            v_source = equilibrium.thevenin_voltage(p, power_w, terminal_voltage_v, source.r_ohm, source.l_h)
+        turn = cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
+        i_l, v_c, i_g = grid_side.i_l * turn, grid_side.v_c * turn, grid_side.i_g * turn
+        values = np.array(
+            [
+                *(i_l.real, i_l.imag, cmath.phase(turn), 0.0),
+                *(grid_side.xi_dc, grid_side.xi_d, grid_side.xi_q, p.v_dc_ref_v),
+                *(machine.i_d, machine.i_q, machine.xi_d, machine.xi_q, machine.w_m),
+                *(v_c.real, v_c.imag, i_g.real, i_g.imag),
+            ]
+        )
+        return self._state(0, values, machine.wind_speed_m_s, v_source * turn, source)
+
+    def linearise(self, state: TurbineState) -> np.ndarray:
+        """Poles of the small-signal system around ``state`` in the dq frame (rad/s), worst first.
+
+        Central differences of the plant's own flow over ten steps: what the stepper does, not what
+        the equations say. With an ideal source the shunt (1e5 rad/s) and the unused line are left out.
+        """
+        n_steps = 10
+        n = 13 if state.source.kind == "ideal" else 17
+        scale = 1e-5 * np.maximum(np.abs(state.values[:n]), 1.0)
+        moved = [state.values + sign * step * (np.arange(17) == k) for k, step in enumerate(scale) for sign in (1, -1)]
+        jobs = [Job(self._state(state.step, x, state.wind_m_s, state.v_source, state.source), None) for x in moved]
+        ends = np.array([end.values[:n] for end, _ in self.run(jobs, n_steps)])
+        flow = ((ends[0::2] - ends[1::2]) / (2.0 * scale[:, None])).T
+        poles = np.log(np.linalg.eigvals(flow).astype(complex)) / (n_steps * self.dt_s)
+        return poles[np.argsort(-poles.real)]
+
+    def _certify(self, state: TurbineState) -> None:
+        steps = max(1, round(1.0 / (self.f1_hz * self.dt_s)))
+        ((end, _),) = self.run([Job(state, None)], steps)
+        residual = np.max(np.abs(end.values - state.values) / np.maximum(np.abs(state.values), 1.0))
+        worst = self.linearise(state)[0]
+        if worst.real > 0.0:
+            raise NotSettled(
+                f"the equilibrium is unstable: {worst.real:+.3g} rad/s at {abs(worst.imag) / (2 * pi):.3g} Hz in the dq "
+                "frame; use an ideal source to sweep it, or a stronger grid",
+                status="diverged",
+            )
+        if not residual <= _RESIDUAL_LIMIT:
+            raise NotSettled(f"the state changes by {residual:.2g} over one period; {_RESIDUAL_LIMIT:g} is needed")
+
+    def _terminal_voltage(self, operating_point: OperatingPoint, source: Source) -> float:
+        given = operating_point.terminal_voltage_v
+        if (given is None) == (source.voltage_v is None):
+            raise ValueError("give either the operating point's terminal_voltage_v or the source's voltage_v, not both")
+        if source.kind == "thevenin" and not (source.r_ohm >= 0.0 and source.l_h > 0.0):
+            raise ValueError(
+                f"a Thevenin source needs r_ohm >= 0 and l_h > 0; got {source.r_ohm:g} ohm, {source.l_h:g} H"
+            )
+        if given is not None:
+            return given
+        assert source.voltage_v is not None
+        if source.kind == "ideal":
+            return source.voltage_v
+        try:
+            return equilibrium.terminal_voltage_for_source(
+                self.parameters, operating_point.active_power_w, source.voltage_v, source.r_ohm, source.l_h
+            )
+        except ValueError as error:
+            raise NotSettled(str(error)) from None
+
+    def _check_range(self, power_w: float, terminal_voltage_v: float) -> None:
+        limits = self.operating_range
+        named = (
+            ("active power", power_w, limits.active_power_w, 1e-6, "MW"),
+            ("|v_pcc|", terminal_voltage_v, limits.terminal_voltage_v, 1.0 / self.rating.voltage_v, "pu"),
+        )
+        for name, value, (low, high), unit, symbol in named:
+            if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
+                raise ValueError(
+                    f"{name} of {value * unit:g} {symbol} is outside the range of {self.id}: "
+                    f"{low * unit:g} to {high * unit:g} {symbol}"
+                )
+
+    def _check_limits(self, grid_side: equilibrium.GridSideEquilibrium) -> None:
+        p = self.parameters
+        if abs(grid_side.v_conv) > p.v_dc_ref_v / sqrt(2.0):
+            raise NotSettled(
+                f"the converter would need {abs(grid_side.v_conv):.0f} V; its limit is {p.v_dc_ref_v / sqrt(2):.0f} V"
+            )
+        if abs(grid_side.i_l) > p.i_limit_a:
+            raise NotSettled(f"the converter would need {abs(grid_side.i_l):.0f} A; its limit is {p.i_limit_a:.0f} A")
+
+    def _state(self, step: int, values: np.ndarray, wind_m_s: float, v_source: complex, source: Source) -> TurbineState:
+        values.setflags(write=False)
+        return TurbineState(step, step * self.dt_s, values, wind_m_s, v_source, source)
+
+    # ------------------------------------------------------------------ driving
+
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
+        """Run every job ``n_steps`` further; see `Plant.run`."""
+        from .kernels import turbine as kernel
+
+        results: list[tuple[TurbineState, Record]] = [None] * len(jobs)  # type: ignore[list-item]
+        for lanes, members, ideal, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
+            samples = np.empty((n_steps, 4, kernel.LANES))
+            kernel.advance_recording(lanes, ideal, n_tones, self.parameters, self.dt_s, samples)
+            ends = self._ends(lanes, [jobs[m] for m in members], n_steps)
+            for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
+                results[member] = end, self._record(jobs[member].state, samples[:, :, lane])
+        return results
+
+    def run_phasors(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
+    ) -> list[tuple[TurbineState, Phasors]]:
+        """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
+        from .kernels import turbine as kernel
+
+        results: list[tuple[TurbineState, Phasors]] = [None] * len(jobs)  # type: ignore[list-item]
+        for lanes, members, ideal, n_tones in self._batches(jobs, windows, block_steps):
+            sums = np.empty((n_blocks, 8, kernel.LANES))
+            kernel.advance_blocks(lanes, ideal, n_tones, self.parameters, self.dt_s, block_steps, sums)
+            ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
+            for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
+                results[member] = end, _phasors(sums[:, :, lane])
+        return results
+
+    def _batches(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
+    ) -> Iterator[tuple[np.ndarray, list[int], bool, int]]:
+        """Flat arrays of up to LANES jobs of one source kind: (array, job indices, ideal, tones)."""
+        from .kernels.turbine import LANES
+
+        for kind in ("ideal", "thevenin"):
+            of_kind = [m for m, job in enumerate(jobs) if job.state.source.kind == kind]
+            for first in range(0, len(of_kind), LANES):
+                members = of_kind[first : first + LANES]
+                n_tones = max(len(jobs[m].injection.tones) if jobs[m].injection else 0 for m in members)
+                slots = self._fill([jobs[m] for m in members], [windows[m] for m in members], block_steps, n_tones)
+                yield slots.ravel(), members, kind == "ideal", n_tones
+
+    def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
+        from .kernels import turbine as kernel
+
+        x = np.zeros((kernel.array_slots(n_tones), kernel.LANES))
+        for lane, (job, window) in enumerate(zip(jobs, windows, strict=True)):
+            x[:, lane] = self._lane(job, window, block_steps, n_tones)
+        x[:, len(jobs) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write
+        return x
+
+    def _lane(self, job: Job, window: Window, block_steps: int, n_tones: int) -> np.ndarray:
+        """One lane's column of the flat array."""
+        from .kernels import turbine as kernel
+
+        state, source = job.state, job.state.source
+        x = np.zeros(kernel.array_slots(n_tones))
+        x[: kernel.N_STATES] = state.values
+        x[kernel.WIND] = state.wind_m_s
+        shunt = self._shunt_voltage_ratio(self.f1_hz)
+        _set_complex(x, kernel.V_S_RE, state.v_source)
+        _set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
+        x[kernel.GRID_R] = source.r_ohm
+        x[kernel.GRID_1_L] = 1.0 / source.l_h if source.kind == "thevenin" else 0.0
+        _set_complex(x, kernel.LINE_RE, _phasor((window.f_hz - self.f1_hz) * state.step * self.dt_s))
+        _set_complex(x, kernel.LINE_ROT_RE, _phasor((window.f_hz - self.f1_hz) * self.dt_s))
+        _set_complex(x, kernel.TAPER_RE, _phasor((window.first_block % window.n_blocks) / window.n_blocks))
+        _set_complex(x, kernel.TAPER_ROT_RE, _phasor(1.0 / (window.n_blocks * block_steps)))
+        mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
+        x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
+        for tone, (f_hz, amplitude) in enumerate(self._series_tones(job.injection, source)):
+            slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
+            _set_complex(x, slot, amplitude * _phasor((f_hz - self.f1_hz) * state.step * self.dt_s))
+            _set_complex(x, slot + 2, _phasor((f_hz - self.f1_hz) * 0.5 * self.dt_s))
+            _set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
+        return x
+
+    def _series_tones(self, injection: Injection | None, source: Source) -> Iterator[tuple[float, complex]]:
+        """Tones as (f, power-invariant series voltage); a shunt current acts as Z_grid times itself."""
+        if injection is None:
+            return
+        if injection.kind == "shunt_current" and source.kind == "ideal":
+            raise ValueError(
+                "shunt_current cannot perturb a PCC held by an ideal source: use series_voltage, or a thevenin source"
+            )
+        for tone in injection.tones:
+            amplitude = tone.amplitude * cmath.exp(1j * tone.phase_rad) / _PHASE_PEAK
+            if injection.kind == "shunt_current":
+                amplitude *= source.r_ohm + 2j * pi * tone.f_hz * source.l_h
+            yield tone.f_hz, amplitude
+
+    def _shunt_voltage_ratio(self, f_hz: float) -> complex:
+        """v_C / v_pcc of the shunt branch at a signed stationary frequency."""
+        p = self.parameters
+        return 1.0 / (1.0 + 2j * pi * f_hz * p.r_f_ohm * p.c_f_f)
+
+    def _ends(self, lanes: np.ndarray, jobs: list[Job], n_steps: int) -> list[TurbineState]:
+        from .kernels.turbine import LANES, N_STATES
+
+        values = lanes.reshape(-1, LANES)[:N_STATES].T.copy()
+        return [
+            self._state(job.state.step + n_steps, x, job.state.wind_m_s, job.state.v_source, job.state.source)
+            for job, x in zip(jobs, values, strict=False)
+        ]
+
+    def _record(self, state: TurbineState, samples: np.ndarray) -> Record:
+        time_s = (state.step + np.arange(len(samples))) * self.dt_s
+        to_stationary = _PHASE_PEAK * np.exp(2j * pi * ((self.f1_hz * time_s) % 1.0))
+        v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
+        i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
+        return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+
+
+def _phasor(cycles: float) -> complex:
+    """exp(2j pi cycles), with whole turns taken off first."""
+    return cmath.exp(2j * pi * (cycles % 1.0))
+
+
+def _set_complex(x: np.ndarray, slot: int, value: complex) -> None:
+    x[slot], x[slot + 1] = value.real, value.imag
+
+
+def _phasors(sums: np.ndarray) -> Phasors:
+    """Block sums (n_blocks, 8) as phasors at the line and at its mirror, load direction."""
+    v, i = (_line_and_mirror(sums[:, first : first + 4]) for first in (0, 4))
+    return Phasors(_PHASE_PEAK * v, -_PHASE_PEAK * i)
+
+
+def _line_and_mirror(sums: np.ndarray) -> np.ndarray:
+    re_re, im_im, im_re, re_im = sums.T
+    line = (re_re + im_im) + 1j * (im_re - re_im)
+    mirror = (re_re - im_im) + 1j * (im_re + re_im)
+    return np.stack([line, mirror], axis=1)

@@ -1,0 +1,418 @@
+"""The reference turbine, stepped in lanes: independent experiments in lock step.
+
+Everything of a batch lives in ONE flat array, ``x[slot * LANES + lane]``: LLVM gives up on vector
+code when a loop writes through several base pointers. The grid side is written in the dq frame that
+rotates at w1 (suffixes re, im), where an operating point is a fixed point; quantities are
+power-invariant. Controllers work in the PLL frame (suffixes d, q).
+
+Integrator: classical Runge-Kutta of order four. With an ideal source the shunt Rf-Cf (10 us) is
+driven by the source alone and drives nothing: it is solved exactly, because RK4 at that time
+constant would cost percents (see docs/turbine.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+LANES = 8
+"""Lanes of one flat array: one 512-bit or two 256-bit vectors of doubles."""
+
+# States. The first thirteen are the device's own, the rest belong to the network at the PCC.
+I_L_RE, I_L_IM, DELTA, X_PLL, XI_DC, XI_D, XI_Q, V_DC = range(8)
+I_SD, I_SQ, XI_SD, XI_SQ, W_M = range(8, 13)
+V_C_RE, V_C_IM, I_G_RE, I_G_IM = range(13, 17)
+N_STATES = 17
+
+# Constants of a lane: wind speed, source voltage and Thevenin impedance.
+WIND, V_S_RE, V_S_IM, GRID_R, GRID_1_L, V_CS_RE, V_CS_IM = range(17, 24)
+# The sample at the start of the last step (voltage at the PCC, current out of the turbine).
+V_RE, V_IM, I_RE, I_IM = range(24, 28)
+# Demodulation: phasor exp(j (2 pi f - w1) t), the taper's phasor, their rotations per step, its gain.
+LINE_RE, LINE_IM, LINE_ROT_RE, LINE_ROT_IM = range(28, 32)
+TAPER_RE, TAPER_IM, TAPER_ROT_RE, TAPER_ROT_IM, TAPER_GAIN = range(32, 37)
+# Sums of w re(x) re(line), w im(x) im(line), w im(x) re(line), w re(x) im(line), for v and for i.
+SUM_V, SUM_I = 37, 41
+# The source of the step at hand: voltage at its start, middle and end, forced shunt voltage at both ends.
+SOURCE = 45
+N_SOURCE_SLOTS = 10
+# Tones: phasor in the dq frame, rotation per half step, response of the ideal source's shunt. The tone
+# being worked on has a place of its own before the list.
+TONE = SOURCE + N_SOURCE_SLOTS
+N_TONE_SLOTS = 6
+TONES = TONE + N_TONE_SLOTS
+
+# Blackman's taper, 0.42 - 0.5 cos + 0.08 cos(2 .) in powers of the cosine.
+TAPER_0, TAPER_1, TAPER_2 = 0.34, -0.5, 0.16
+
+# No "nnan" and no "ninf": a diverged lane must be seen.
+_FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+
+
+def array_slots(n_tones):
+    """Slots of a flat array with room for ``n_tones`` tones."""
+    return TONES + N_TONE_SLOTS * n_tones
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _cos_sin(angle):
+    """Cosine and sine without a branch or a call, to about 1e-16 (polynomials after reduction)."""
+    quadrant = math.floor(angle * 0.6366197723675814 + 0.5)
+    r = angle - quadrant * 1.5707963267948966
+    r = r - quadrant * 6.123233995736766e-17
+    z = r * r
+    sin_r = r + r * z * (
+        -1.66666666666666324348e-01
+        + z
+        * (
+            8.33333333332248946124e-03
+            + z
+            * (
+                -1.98412698298579493134e-04
+                + z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))
+            )
+        )
+    )
+    cos_r = (
+        1.0
+        - 0.5 * z
+        + z
+        * z
+        * (
+            4.16666666666666019037e-02
+            + z
+            * (
+                -1.38888888888741095749e-03
+                + z
+                * (
+                    2.48015872894767294178e-05
+                    + z
+                    * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))
+                )
+            )
+        )
+    )
+    quarter = quadrant - 4.0 * math.floor(quadrant * 0.25)
+    odd = quarter - 2.0 * math.floor(quarter * 0.5)
+    sign = 1.0 - 2.0 * math.floor(quarter * 0.5)
+    return sign * (cos_r - odd * (sin_r + cos_r)), sign * (sin_r + odd * (cos_r - sin_r))
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _turned(c, s, angle):
+    """Cosine and sine after a small further ``angle`` (|angle| << 1, error angle^5 / 120)."""
+    z = angle * angle
+    sin_a = angle * (1.0 - z * (1.0 / 6.0) * (1.0 - z * 0.05))
+    cos_a = 1.0 - 0.5 * z * (1.0 - z * (1.0 / 12.0) * (1.0 - z * (1.0 / 30.0)))
+    return c * cos_a - s * sin_a, s * cos_a + c * sin_a
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _machine(x, wind, p):
+    """Derivatives of machine, its current control and the rotor; power into the DC link (W)."""
+    i_d, i_q, xi_d, xi_q, w_m = x[I_SD], x[I_SQ], x[XI_SD], x[XI_SQ], x[W_M]
+    w_e = p.pole_pairs * w_m
+    torque_ref = p.k_opt * w_m * w_m
+    error_d = i_d
+    error_q = i_q - torque_ref / (p.pole_pairs * p.flux_wb)
+    v_d = p.k_mp * error_d + xi_d + p.k_mrd_ohm * i_q
+    v_q = p.k_mp * error_q + xi_q - p.k_mrd_ohm * i_d
+    slip = p.radius_m * w_m
+    torque_aero = 0.5 * p.rho_kgm3 * math.pi * p.radius_m**3 * slip * (p.c_q1 * wind - p.c_q2 * slip)
+    return (
+        (-v_d - p.r_s_ohm * i_d + w_e * p.l_s_h * i_q) / p.l_s_h,
+        (-v_q - p.r_s_ohm * i_q - w_e * p.l_s_h * i_d + w_e * p.flux_wb) / p.l_s_h,
+        p.k_mi * error_d,
+        p.k_mi * error_q,
+        (torque_aero - p.pole_pairs * p.flux_wb * i_q) / p.inertia_kgm2,
+    ), v_d * i_d + v_q * i_q
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _device(x, v_re, v_im, c, s, wind, p):
+    """Derivatives of the device's thirteen states at PCC voltage ``v`` and PLL angle (c, s)."""
+    i_re, i_im, v_dc = x[I_L_RE], x[I_L_IM], x[V_DC]
+    i_d, i_q = c * i_re + s * i_im, c * i_im - s * i_re
+    v_q = c * v_im - s * v_re
+    # DC voltage control; its integrator is held back while the current reference is limited.
+    error_dc = v_dc - p.v_dc_ref_v
+    i_d_wanted = p.k_dcp * error_dc + x[XI_DC]
+    i_d_ref = min(max(i_d_wanted, -p.i_limit_a), p.i_limit_a)
+    # Current control; the converter gives v_dc / sqrt(2) at most, line-to-line RMS.
+    error_d, error_q = i_d_ref - i_d, -i_q
+    v_d_wanted = p.k_p * error_d + x[XI_D] - p.k_rd_ohm * i_q
+    v_q_wanted = p.k_p * error_q + x[XI_Q] + p.k_rd_ohm * i_d
+    wanted_squared = v_d_wanted * v_d_wanted + v_q_wanted * v_q_wanted
+    inverse = 1.0 / (v_dc * wanted_squared)  # one division serves the limit and the DC link
+    share = min(1.0, v_dc * math.sqrt(0.5 * v_dc * inverse))
+    v_conv_d, v_conv_q = share * v_d_wanted, share * v_q_wanted
+    v_conv_re, v_conv_im = c * v_conv_d - s * v_conv_q, s * v_conv_d + c * v_conv_q
+    machine, power_in = _machine(x, wind, p)
+    power_out = v_conv_re * i_re + v_conv_im * i_im
+    return (
+        (v_conv_re - v_re) / p.l_c_h + p.w1_rad_s * i_im,
+        (v_conv_im - v_im) / p.l_c_h - p.w1_rad_s * i_re,
+        p.k_pp * v_q + x[X_PLL],
+        p.k_pi * v_q,
+        p.k_dci * error_dc + p.k_dci / p.k_dcp * (i_d_ref - i_d_wanted),
+        p.k_i * error_d + p.k_i / p.k_p * (v_conv_d - v_d_wanted),
+        p.k_i * error_q + p.k_i / p.k_p * (v_conv_q - v_q_wanted),
+        (power_in - power_out) * inverse * wanted_squared / p.c_dc_f,
+    ) + machine
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _behind_grid(x, v_re, v_im, c, s, wind, r_grid, inverse_l_grid, p):
+    """Derivatives of all states with the device behind a Thevenin source ``v``."""
+    i_f_re, i_f_im = x[I_L_RE] - x[I_G_RE], x[I_L_IM] - x[I_G_IM]
+    v_pcc_re, v_pcc_im = x[V_C_RE] + p.r_f_ohm * i_f_re, x[V_C_IM] + p.r_f_ohm * i_f_im
+    return _device(x, v_pcc_re, v_pcc_im, c, s, wind, p) + (
+        i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
+        i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
+        (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
+        (v_pcc_im - v_im - r_grid * x[I_G_IM]) * inverse_l_grid - p.w1_rad_s * x[I_G_RE],
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _moved_13(x, h, k):
+    """``x + h k`` for the device's states."""
+    return (
+        x[0] + h * k[0],
+        x[1] + h * k[1],
+        x[2] + h * k[2],
+        x[3] + h * k[3],
+        x[4] + h * k[4],
+        x[5] + h * k[5],
+        x[6] + h * k[6],
+        x[7] + h * k[7],
+        x[8] + h * k[8],
+        x[9] + h * k[9],
+        x[10] + h * k[10],
+        x[11] + h * k[11],
+        x[12] + h * k[12],
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _moved_17(x, h, k):
+    """``x + h k`` for all states."""
+    return _moved_13(x, h, k) + (
+        x[13] + h * k[13],
+        x[14] + h * k[14],
+        x[15] + h * k[15],
+        x[16] + h * k[16],
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _load_13(x, lane):
+    return (
+        x[0 * LANES + lane],
+        x[1 * LANES + lane],
+        x[2 * LANES + lane],
+        x[3 * LANES + lane],
+        x[4 * LANES + lane],
+        x[5 * LANES + lane],
+        x[6 * LANES + lane],
+        x[7 * LANES + lane],
+        x[8 * LANES + lane],
+        x[9 * LANES + lane],
+        x[10 * LANES + lane],
+        x[11 * LANES + lane],
+        x[12 * LANES + lane],
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _store_13(x, lane, y):
+    x[0 * LANES + lane] = y[0]
+    x[1 * LANES + lane] = y[1]
+    x[2 * LANES + lane] = y[2]
+    x[3 * LANES + lane] = y[3]
+    x[4 * LANES + lane] = y[4]
+    x[5 * LANES + lane] = y[5]
+    x[6 * LANES + lane] = y[6]
+    x[7 * LANES + lane] = y[7]
+    x[8 * LANES + lane] = y[8]
+    x[9 * LANES + lane] = y[9]
+    x[10 * LANES + lane] = y[10]
+    x[11 * LANES + lane] = y[11]
+    x[12 * LANES + lane] = y[12]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _listen(x, lane, v_re, v_im, i_re, i_im):
+    """Keep the sample and add it, tapered and demodulated, to the sums of its line."""
+    x[V_RE * LANES + lane], x[V_IM * LANES + lane] = v_re, v_im
+    x[I_RE * LANES + lane], x[I_IM * LANES + lane] = i_re, i_im
+    c, s = x[TAPER_RE * LANES + lane], x[TAPER_IM * LANES + lane]
+    weight = x[TAPER_GAIN * LANES + lane] * (TAPER_0 + c * (TAPER_1 + c * TAPER_2))
+    rot_c, rot_s = x[TAPER_ROT_RE * LANES + lane], x[TAPER_ROT_IM * LANES + lane]
+    x[TAPER_RE * LANES + lane], x[TAPER_IM * LANES + lane] = c * rot_c - s * rot_s, s * rot_c + c * rot_s
+    line_re, line_im = x[LINE_RE * LANES + lane], x[LINE_IM * LANES + lane]
+    w_re, w_im = weight * line_re, weight * line_im
+    x[(SUM_V + 0) * LANES + lane] += v_re * w_re
+    x[(SUM_V + 1) * LANES + lane] += v_im * w_im
+    x[(SUM_V + 2) * LANES + lane] += v_im * w_re
+    x[(SUM_V + 3) * LANES + lane] += v_re * w_im
+    x[(SUM_I + 0) * LANES + lane] += i_re * w_re
+    x[(SUM_I + 1) * LANES + lane] += i_im * w_im
+    x[(SUM_I + 2) * LANES + lane] += i_im * w_re
+    x[(SUM_I + 3) * LANES + lane] += i_re * w_im
+    rot_re, rot_im = x[LINE_ROT_RE * LANES + lane], x[LINE_ROT_IM * LANES + lane]
+    x[LINE_RE * LANES + lane] = line_re * rot_re - line_im * rot_im
+    x[LINE_IM * LANES + lane] = line_im * rot_re + line_re * rot_im
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _source_of_step(x, n_tones):
+    """Source voltage at start, middle and end of the step; forced shunt voltage at both ends.
+
+    Tones are copied through one fixed place: a moving offset would hide from the compiler that the
+    lanes of a step do not overlap.
+    """
+    for lane in range(LANES):
+        for half in range(3):
+            x[(SOURCE + 2 * half) * LANES + lane] = x[V_S_RE * LANES + lane]
+            x[(SOURCE + 2 * half + 1) * LANES + lane] = x[V_S_IM * LANES + lane]
+        for end in range(2):
+            x[(SOURCE + 6 + 2 * end) * LANES + lane] = x[V_CS_RE * LANES + lane]
+            x[(SOURCE + 7 + 2 * end) * LANES + lane] = x[V_CS_IM * LANES + lane]
+    for tone in range(n_tones):
+        first = (TONES + N_TONE_SLOTS * tone) * LANES
+        for i in range(N_TONE_SLOTS * LANES):
+            x[TONE * LANES + i] = x[first + i]
+        for lane in range(LANES):
+            re, im = x[(TONE + 0) * LANES + lane], x[(TONE + 1) * LANES + lane]
+            rot_re, rot_im = x[(TONE + 2) * LANES + lane], x[(TONE + 3) * LANES + lane]
+            h_re, h_im = x[(TONE + 4) * LANES + lane], x[(TONE + 5) * LANES + lane]
+            x[(SOURCE + 0) * LANES + lane] += re
+            x[(SOURCE + 1) * LANES + lane] += im
+            x[(SOURCE + 6) * LANES + lane] += h_re * re - h_im * im
+            x[(SOURCE + 7) * LANES + lane] += h_re * im + h_im * re
+            re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
+            x[(SOURCE + 2) * LANES + lane] += re
+            x[(SOURCE + 3) * LANES + lane] += im
+            re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
+            x[(SOURCE + 4) * LANES + lane] += re
+            x[(SOURCE + 5) * LANES + lane] += im
+            x[(SOURCE + 8) * LANES + lane] += h_re * re - h_im * im
+            x[(SOURCE + 9) * LANES + lane] += h_re * im + h_im * re
+            x[(TONE + 0) * LANES + lane], x[(TONE + 1) * LANES + lane] = re, im
+        for i in range(2 * LANES):
+            x[first + i] = x[TONE * LANES + i]
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_ideal(x, n_tones, p, h, n_steps):
+    """``n_steps`` steps with the source at the PCC itself."""
+    decay = math.exp(-h / (p.r_f_ohm * p.c_f_f))
+    decay_re, decay_im = decay * math.cos(p.w1_rad_s * h), -decay * math.sin(p.w1_rad_s * h)
+    for _ in range(n_steps):
+        _source_of_step(x, n_tones)
+        for lane in range(LANES):
+            wind = x[WIND * LANES + lane]
+            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+            y = _load_13(x, lane)
+            v_c_re, v_c_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
+            _listen(
+                x,
+                lane,
+                v0_re,
+                v0_im,
+                y[I_L_RE] - (v0_re - v_c_re) / p.r_f_ohm,
+                y[I_L_IM] - (v0_im - v_c_im) / p.r_f_ohm,
+            )
+            # Shunt: exact forced response plus the decaying rest of what went before.
+            rest_re, rest_im = v_c_re - x[(SOURCE + 6) * LANES + lane], v_c_im - x[(SOURCE + 7) * LANES + lane]
+            x[V_C_RE * LANES + lane] = x[(SOURCE + 8) * LANES + lane] + rest_re * decay_re - rest_im * decay_im
+            x[V_C_IM * LANES + lane] = x[(SOURCE + 9) * LANES + lane] + rest_im * decay_re + rest_re * decay_im
+            c, s = _cos_sin(y[DELTA])
+            k1 = _device(y, v0_re, v0_im, c, s, wind, p)
+            z = _moved_13(y, 0.5 * h, k1)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k2 = _device(z, v1_re, v1_im, cz, sz, wind, p)
+            z = _moved_13(y, 0.5 * h, k2)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k3 = _device(z, v1_re, v1_im, cz, sz, wind, p)
+            z = _moved_13(y, h, k3)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k4 = _device(z, v2_re, v2_im, cz, sz, wind, p)
+            y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+            _store_13(x, lane, y)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_thevenin(x, n_tones, p, h, n_steps):
+    """``n_steps`` steps behind the lane's Thevenin impedance."""
+    for _ in range(n_steps):
+        _source_of_step(x, n_tones)
+        for lane in range(LANES):
+            wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+            y = _load_13(x, lane) + (
+                x[V_C_RE * LANES + lane],
+                x[V_C_IM * LANES + lane],
+                x[I_G_RE * LANES + lane],
+                x[I_G_IM * LANES + lane],
+            )
+            _listen(
+                x,
+                lane,
+                y[V_C_RE] + p.r_f_ohm * (y[I_L_RE] - y[I_G_RE]),
+                y[V_C_IM] + p.r_f_ohm * (y[I_L_IM] - y[I_G_IM]),
+                y[I_G_RE],
+                y[I_G_IM],
+            )
+            c, s = _cos_sin(y[DELTA])
+            k1 = _behind_grid(y, v0_re, v0_im, c, s, wind, r, l_1, p)
+            z = _moved_17(y, 0.5 * h, k1)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k2 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
+            z = _moved_17(y, 0.5 * h, k2)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k3 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
+            z = _moved_17(y, h, k3)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k4 = _behind_grid(z, v2_re, v2_im, cz, sz, wind, r, l_1, p)
+            y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+            _store_13(x, lane, y)
+            x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = y[V_C_RE], y[V_C_IM]
+            x[I_G_RE * LANES + lane], x[I_G_IM * LANES + lane] = y[I_G_RE], y[I_G_IM]
+
+
+@njit(nogil=True, cache=True)
+def advance(x, ideal, n_tones, p, h, n_steps):
+    """``n_steps`` steps of all lanes, with an ideal source or behind the lanes' impedances."""
+    if ideal:
+        advance_ideal(x, n_tones, p, h, n_steps)
+    else:
+        advance_thevenin(x, n_tones, p, h, n_steps)
+
+
+@njit(nogil=True, cache=True)
+def advance_blocks(x, ideal, n_tones, p, h, block_steps, sums):
+    """Advance by blocks; ``sums[block, quantity, lane]`` receives each block's eight sums."""
+    for block in range(sums.shape[0]):
+        for i in range(8 * LANES):
+            x[SUM_V * LANES + i] = 0.0
+        advance(x, ideal, n_tones, p, h, block_steps)
+        for quantity in range(8):
+            for lane in range(LANES):
+                sums[block, quantity, lane] = x[(SUM_V + quantity) * LANES + lane]
+
+
+@njit(nogil=True, cache=True)
+def advance_recording(x, ideal, n_tones, p, h, samples):
+    """Advance step by step; ``samples[step, quantity, lane]`` receives v and i before each step."""
+    for step in range(samples.shape[0]):
+        advance(x, ideal, n_tones, p, h, 1)
+        for quantity in range(4):
+            for lane in range(LANES):
+                samples[step, quantity, lane] = x[(V_RE + quantity) * LANES + lane]
