@@ -1,0 +1,158 @@
+"""The gain k of the resonance damping control: the paper's formula, what it predicts, and the search for the truth.
+
+The formula takes the whole device as seeing the reshaped voltage; a real one gives less. What it returns is a
+starting value, to be confirmed by sweeping the device with damping in place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .siso import Grid
+from .stability import Admittance, Crossing, bode_crossings, critical_crossing
+
+K_MAX = 2.0
+"""Largest gain the search tries."""
+
+NOTCH_GAIN = 1.0
+NOTCH_DAMPING = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class GainSearch:
+    """The outcome of iterating k with a re-swept device.
+
+    Attributes
+    ----------
+    k : float
+        Smallest gain found that holds the required margin, or the one with the largest margin.
+    margin_m : float
+        Margin of the re-swept device at that gain.
+    reached : bool
+        Whether the required margin holds.
+    trials : tuple of (float, float)
+        Every (k, m) measured, in order.
+    """
+
+    k: float
+    margin_m: float
+    reached: bool
+    trials: tuple[tuple[float, float], ...]
+
+
+def gain_for_margin(m_now: float, m_required: float) -> float:
+    """k = 1 - |Yg| / (m |Y|) = 1 - m_now / m_required, clipped at zero; paper eq. 13.
+
+    Raises
+    ------
+    ValueError
+        If the required margin is not positive.
+    """
+    if not m_required > 0.0:
+        raise ValueError(f"the required margin m is {m_required:g}; it must be positive, e.g. 1.4")
+    return max(0.0, 1.0 - m_now / m_required)
+
+
+def notch(f_hz: np.ndarray, f1_hz: float) -> np.ndarray:
+    """H_NF = (s^2 + w0^2) / (s^2 + 2 xi w0 s + w0^2) at s = 2j pi f (n,), complex; paper eq. 5 with w0 = w1."""
+    x = np.asarray(f_hz, dtype=float) / f1_hz
+    return NOTCH_GAIN * (1.0 - x**2) / (1.0 - x**2 + 2j * NOTCH_DAMPING * x)
+
+
+def reshaped(admittance: Admittance, grid: Grid, k: float, f_r_hz: float) -> Admittance:
+    """Admittance with damping control if the whole device saw the reshaped voltage; paper eq. 11, for the 2x2.
+
+    Parameters
+    ----------
+    admittance : callable
+        Frequencies (n,) in Hz to Ypn (n, 2, 2) in S, without damping.
+    grid : Grid
+        The grid the virtual impedance is taken from: Rv = k R, Lv = k L.
+    k : float
+        Gain.
+    f_r_hz : float
+        Signed frequency of the resonance component the control is set to (Hz).
+
+    Notes
+    -----
+    v_r = v + H_NF H_FB i_g with H_FB = -(Rv + j w_r Lv) and i_g = -i gives Y_re = (1 - Y C)^-1 Y. C is diagonal: k
+    (R + j w_r L) H_NF at f, and the conjugate of its value at the mirror for the second component.
+    """
+    z_r = k * (grid.r_ohm + 2j * np.pi * f_r_hz * grid.l_h)
+
+    def with_damping(f_hz: np.ndarray) -> np.ndarray:
+        y = admittance(f_hz)
+        c = np.zeros_like(y)
+        c[:, 0, 0] = z_r * notch(f_hz, grid.f1_hz)
+        c[:, 1, 1] = np.conj(z_r * notch(2.0 * grid.f1_hz - np.asarray(f_hz), grid.f1_hz))
+        return np.linalg.solve(np.eye(2) - y @ c, y)
+
+    return with_damping
+
+
+def predicted_crossing(
+    admittance: Admittance, grid: Grid, k: float, f_r_hz: float, band_hz: tuple[float, float]
+) -> Crossing | None:
+    """Critical crossing of the predicted reshaped response; None if none is left above f1."""
+    crossings = bode_crossings(reshaped(admittance, grid, k, f_r_hz), grid, *band_hz)
+    return critical_crossing(crossings, grid.f1_hz)
+
+
+def search_gain(
+    margin_at: Callable[[float], float], m_required: float, k_start: float, *, max_trials: int = 12
+) -> GainSearch:
+    """Smallest k in 0 ... 2 whose *measured* margin is the required one, to 0.5 % above it.
+
+    Parameters
+    ----------
+    margin_at : callable
+        k to the margin of the device re-swept with damping; NaN where it could not be measured.
+    m_required : float
+        Required margin.
+    k_start : float
+        Starting value, from `gain_for_margin`.
+    max_trials : int
+        Most re-sweeps.
+
+    Notes
+    -----
+    Secant steps inside a bracket, and steps outwards before there is one. Where the margin never holds, the best one
+    measured is returned.
+    """
+    trials: list[tuple[float, float]] = []
+    k = float(np.clip(k_start, 0.0, K_MAX))
+    while len(trials) < max_trials:
+        trials.append((k, float(margin_at(k))))
+        proposal = _next_gain(sorted(trials), m_required)
+        if proposal is None or any(abs(proposal - tried) < 1e-4 for tried, _ in trials):
+            break
+        k = proposal
+    holding = [t for t in trials if t[1] >= m_required]
+    measured = [t for t in trials if np.isfinite(t[1])]
+    best = min(holding, default=max(measured, key=lambda t: t[1], default=(k, float("nan"))))
+    return GainSearch(best[0], best[1], bool(holding), tuple(trials))
+
+
+def _next_gain(trials: list[tuple[float, float]], required: float) -> float | None:
+    """The next gain to try, from the trials in ascending order; None when the answer is good enough."""
+    holding = [t for t in trials if t[1] >= required]
+    if not holding:
+        k, m = trials[-1]
+        below = trials[-2] if len(trials) > 1 else None
+        if k >= K_MAX:
+            return None
+        slope = (m - below[1]) / (k - below[0]) if below is not None else np.nan
+        step = (1.005 * required - m) / slope if slope > 0.0 else max(0.5, k)
+        return float(min(K_MAX, k + np.clip(step, 0.05, 1.0)))
+    k, m = holding[0]
+    short = [t for t in trials if t[0] < k and np.isfinite(t[1])]
+    if k == 0.0 or m <= 1.005 * required:
+        return None
+    low_k, low_m = short[-1] if short else (0.0, np.nan)
+    if not short:
+        return 0.0
+    part = (1.0025 * required - low_m) / (m - low_m)
+    return float(low_k + np.clip(part, 0.05, 0.95) * (k - low_k))

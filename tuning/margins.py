@@ -1,0 +1,184 @@
+"""How far from the edge: margins of the locus, the critical grid, passivity, and who takes part in the mode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.fit import T_PN, RationalModel, evaluate, evaluate_pn
+from .poles import ClosedLoop, closed_loop_poles, mode_shape
+from .siso import Grid, impedance_dq
+
+SCALE_RANGE = (0.05, 20.0)
+"""Multipliers of the grid impedance among which the critical one is sought."""
+
+ELEMENTS = ("pp", "pn", "np", "nn")
+
+_SCAN_STEP = 1.15
+
+
+class LocusMargins(NamedTuple):
+    """Distances of the winding locus, normalised to det(Y + Yg)/det(Yg) = 1 + l, from zero.
+
+    Attributes
+    ----------
+    gain : float or None
+        1/|l| where l is real and negative, the one nearest to one; None without such a crossing.
+    phase_deg : float or None
+        Smallest angle between l and the negative real axis where |l| = 1 (degrees).
+    vector : float
+        Smallest |1 + l|.
+    f_vector_hz : float
+        Where that is, above f1 (Hz); its mirror image is 2 f1 - f.
+    """
+
+    gain: float | None
+    phase_deg: float | None
+    vector: float
+    f_vector_hz: float
+
+
+class Passivity(NamedTuple):
+    """Smallest eigenvalue of the Hermitian part of Y.
+
+    Attributes
+    ----------
+    f_hz : (n,) float
+        Frequency (Hz).
+    index_s : (n,) float
+        Passivity index (S); the device takes power at this frequency where it is positive.
+    """
+
+    f_hz: np.ndarray
+    index_s: np.ndarray
+
+
+class Participation(NamedTuple):
+    """What the resonance mode is made of.
+
+    Attributes
+    ----------
+    elements : dict of str to float
+        Share of pp, pn, np, nn: relative effect on the pole of a relative change of that element; adds up to one.
+    strongest : str
+        The element with the largest share.
+    current_ratio : float
+        |i(f1 + nu)| / |i(f1 - nu)| of the mode: above one the component above f1 is the stronger one.
+    f_hz : float
+        Frequency of the stronger component (Hz).
+    """
+
+    elements: dict[str, float]
+    strongest: str
+    current_ratio: float
+    f_hz: float
+
+
+def locus_margins(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> LocusMargins:
+    """Gain, phase and vector margin of det(1 + Y Z) = det(Y + Yg)/det(Yg) inside the swept band.
+
+    ``nu_hz`` (n,) are the refined frequencies of the winding locus. The determinant is not proportional to the
+    grid's size: its gain margin is a distance, the grid that can be stood is `critical_scale`.
+    """
+    nu = nu_hz[(nu_hz >= model.nu_hz[0]) & (nu_hz <= model.nu_hz[-1])]
+    s = 2j * np.pi * nu
+    value = np.linalg.det(np.eye(2) + evaluate(model, s) @ impedance_dq(grid, s))
+    loop = value - 1.0
+    nearest = int(np.argmin(np.abs(value)))
+    return LocusMargins(
+        gain=_gain_margin(loop),
+        phase_deg=_phase_margin_deg(loop),
+        vector=float(np.abs(value[nearest])),
+        f_vector_hz=float(model.f1_hz + nu[nearest]),
+    )
+
+
+def critical_scale(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> float | None:
+    """Multiplier of R and X at which the loop is on the edge, the device's admittance being held.
+
+    Above one for a stable loop (the first on the way up), below one for an unstable one (the first on the way
+    down); None if there is none within `SCALE_RANGE`.
+    """
+
+    def rightmost(scale: float) -> float:
+        return float(closed_loop_poles(model, grid.scaled(scale)).real.max())
+
+    inner, value = 1.0, rightmost(1.0) if loop is None else float(loop.poles.real.max())
+    step = _SCAN_STEP if value <= 0.0 else 1.0 / _SCAN_STEP
+    while SCALE_RANGE[0] < inner < SCALE_RANGE[1]:
+        outer = inner * step
+        beyond = rightmost(outer)
+        if (beyond > 0.0) != (value > 0.0):
+            return _root(rightmost, (inner, value), (outer, beyond))
+        inner, value = outer, beyond
+    return None
+
+
+def critical_scr(scale: float, grid: Grid, voltage_v: float, power_va: float) -> float:
+    """Short-circuit ratio U^2 / (S |Z|) of the grid multiplied by ``scale``; U line-to-line RMS (V), S in VA."""
+    return voltage_v**2 / (power_va * scale * grid.size_ohm)
+
+
+def passivity(model: RationalModel, f_hz: np.ndarray) -> Passivity:
+    """Passivity index at frequencies (n,) in Hz; the same in both frames."""
+    y = evaluate_pn(model, f_hz)
+    hermitian = (y + np.swapaxes(y.conj(), 1, 2)) / 2.0
+    return Passivity(np.asarray(f_hz, dtype=float), np.linalg.eigvalsh(hermitian)[:, 0])
+
+
+def participation(model: RationalModel, grid: Grid, pole: complex) -> Participation:
+    """Which element and which component matter most, from the null vectors of Y + Yg at a closed-loop pole.
+
+    With left M = 0 and M right = 0 the pole moves by -left dY right / (left M' right): the share of an element is
+    |left_i Y_ij right_j| among all, in the pn frame.
+    """
+    shape = mode_shape(model, grid, pole)
+    y = T_PN @ evaluate(model, np.array([pole]))[0] @ np.linalg.inv(T_PN)
+    left, right = shape.left @ np.linalg.inv(T_PN), T_PN @ shape.right
+    effect = np.abs(left[:, None] * y * right).ravel()
+    share = dict(zip(ELEMENTS, (effect / effect.sum()).tolist(), strict=True))
+    above, below = np.abs(y @ right)
+    nu = abs(pole.imag) / (2.0 * np.pi)
+    return Participation(
+        elements=share,
+        strongest=max(share, key=lambda name: share[name]),
+        current_ratio=float(above / below),
+        f_hz=model.f1_hz + nu if above >= below else model.f1_hz - nu,
+    )
+
+
+def _gain_margin(loop: np.ndarray) -> float | None:
+    at = np.flatnonzero(np.diff(np.signbit(loop.imag)) != 0)
+    part = loop.imag[at] / (loop.imag[at] - loop.imag[at + 1])
+    real = loop.real[at] + part * (loop.real[at + 1] - loop.real[at])
+    real = real[real < 0.0]
+    if len(real) == 0:
+        return None
+    return float(1.0 / -real[np.argmin(np.abs(np.log(-real)))])
+
+
+def _phase_margin_deg(loop: np.ndarray) -> float | None:
+    at = np.flatnonzero(np.diff(np.abs(loop) > 1.0))
+    if len(at) == 0:
+        return None
+    part = (1.0 - np.abs(loop[at])) / (np.abs(loop[at + 1]) - np.abs(loop[at]))
+    crossing = loop[at] + part * (loop[at + 1] - loop[at])
+    return float(np.degrees(np.abs(np.angle(-crossing)).min()))
+
+
+def _root(function: Callable[[float], float], inner: tuple[float, float], outer: tuple[float, float]) -> float:
+    """Zero of a continuous function between two points of different sign: Illinois' false position."""
+    (a, fa), (b, fb) = inner, outer
+    for _ in range(60):
+        x = (a * fb - b * fa) / (fb - fa)
+        fx = function(x)
+        if abs(fx) < 1e-7 or abs(b - a) < 1e-12 * abs(b):
+            return x
+        if (fx > 0.0) != (fb > 0.0):
+            a, fa = b, fb
+        else:
+            fa /= 2.0
+        b, fb = x, fx
+    return b

@@ -1,0 +1,68 @@
+"""Do table and grid belong together? A remark, never a change of the verdict.
+
+A table holds the device at one active power and one |v_pcc|. On another grid the same source gives another |v_pcc|,
+and the device another admittance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .siso import Grid
+
+SAME_GRID = 0.005
+"""Relative difference of impedances up to which two grids count as one."""
+
+SOURCE_TOLERANCE_PU = 0.07
+"""The device's reactive power is not in the table: that much of source voltage is left open (pu)."""
+
+
+def grid_warnings(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
+    """Remarks on an operating point of the table and the grid it is tuned for.
+
+    Parameters
+    ----------
+    point : mapping
+        ``active_power_mw``, ``terminal_voltage_pu`` and, where the source voltage was fixed in the sweep, ``grid``
+        with ``r_ohm``, ``x_ohm``, ``voltage_pu``, ``scale``. Unknown values are None or missing.
+    bases : mapping
+        ``rated_voltage_v`` (line-to-line RMS), ``rated_power_va``.
+    grid : Grid
+        The grid of the tuning.
+    """
+    swept = point.get("grid")
+    if swept:
+        return _against_swept_grid(swept, grid)
+    voltage_pu, power_mw = point.get("terminal_voltage_pu"), point.get("active_power_mw")
+    rated_v = bases.get("rated_voltage_v")
+    if not (voltage_pu and rated_v) or power_mw is None:
+        return ()
+    source_pu = source_voltage_v(power_mw * 1e6, voltage_pu * rated_v, grid) / rated_v
+    if abs(source_pu - 1.0) <= SOURCE_TOLERANCE_PU:
+        return ()
+    return (
+        f"the table was swept at |v_pcc| = {voltage_pu:.4g} pu; on this grid that takes a source of about "
+        f"{source_pu:.3g} pu (reactive power neglected). If the source is at 1 pu, sweep at the voltage that belongs "
+        "to it: grid = { r_ohm, x_ohm, voltage_pu } in the operating point",
+    )
+
+
+def source_voltage_v(power_w: float, terminal_voltage_v: float, grid: Grid) -> float:
+    """|v_g| (V) behind the grid for an active power out of the device (W) at |v_pcc| (V), without reactive power."""
+    current = power_w / terminal_voltage_v
+    return float(np.hypot(terminal_voltage_v - grid.r_ohm * current, grid.x_ohm * current))
+
+
+def _against_swept_grid(swept: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
+    scale = swept.get("scale") or 1.0
+    r_ohm, x_ohm = swept["r_ohm"] * scale, swept["x_ohm"] * scale
+    if np.hypot(r_ohm - grid.r_ohm, x_ohm - grid.x_ohm) <= SAME_GRID * grid.size_ohm:
+        return ()
+    return (
+        f"the table was swept with the PCC voltage that belongs to {r_ohm:.4g} + j{x_ohm:.4g} ohm, not to "
+        f"{grid.r_ohm:.4g} + j{grid.x_ohm:.4g} ohm: the device will work at another voltage there; sweep again with "
+        "this grid in the operating point",
+    )

@@ -1,0 +1,189 @@
+"""From a table and a grid to the decision: verdict, margins, poles and the damping gain, worst case included."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..identify.fit import MIN_POINTS, RationalModel, evaluate, evaluate_pn, fit_response, to_dq
+from ..identify.response import FrequencyResponse
+from .gain import gain_for_margin, predicted_crossing
+from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
+from .operating import grid_warnings
+from .result import PointTuning, TuningResult
+from .siso import Grid, check_fundamental
+from .stability import Stability, judge, swept_band
+
+if TYPE_CHECKING:
+    from ..identify.table import Table
+
+MAX_MISFIT = 0.03
+"""Median relative misfit beyond which a fit is not believed."""
+
+
+def tune(
+    table: Table | Sequence[FrequencyResponse],
+    grid: Grid,
+    *,
+    margin: float = 1.4,
+    op_ids: Iterable[str] | None = None,
+) -> TuningResult:
+    """Judge every operating point of a table on a grid and propose the damping gain.
+
+    Parameters
+    ----------
+    table : Table or sequence of FrequencyResponse
+        Responses in the pn frame, load direction, one fundamental.
+    grid : Grid
+        The grid, scale included, at the table's fundamental.
+    margin : float
+        Required magnitude margin m at the critical crossing.
+    op_ids : iterable of str or None
+        Only these operating points; None: all.
+
+    Returns
+    -------
+    TuningResult
+        One entry per operating point, in the table's order. What the table cannot answer is "undecided".
+
+    Raises
+    ------
+    ValueError
+        If there is no operating point, or two fundamentals, or not the grid's; if the margin is not positive.
+    """
+    responses, meta = _opened(table)
+    responses = _chosen(responses, op_ids)
+    _check(responses, grid, margin)
+    bases = meta.get("bases", {})
+    points = tuple(tune_point(response, grid, margin=margin, bases=bases) for response in responses)
+    return TuningResult(grid, margin, points, _provenance(meta))
+
+
+def tune_point(
+    response: FrequencyResponse, grid: Grid, *, margin: float = 1.4, bases: Mapping[str, Any] | None = None
+) -> PointTuning:
+    """Judge one operating point; ``bases`` (rated_voltage_v, rated_power_va) give the short-circuit ratio."""
+    bases = bases or {}
+    op_id = str(response.meta.get("op_id", ""))
+    warnings = (*_row_warnings(response), *grid_warnings(response.meta, bases, grid))
+    usable = int(np.sum(response.ok & np.isfinite(response.y).all(axis=(1, 2))))
+    if usable < MIN_POINTS:
+        reason = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
+        return PointTuning(op_id, "undecided", reason, warnings=warnings)
+    model = fit_response(response)
+    misfit = relative_misfit(model, response)
+    if misfit > MAX_MISFIT:
+        reason = f"no rational model describes the table: its median misfit is {misfit:.1%}"
+        return PointTuning(op_id, "undecided", reason, model=model, warnings=warnings)
+    return _judged(op_id, model, grid, margin, bases, (*warnings, *model.notes))
+
+
+def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
+    """Median of ||Yfit - Y||_F / ||Y||_F over the usable rows."""
+    data = to_dq(response)
+    error = np.linalg.norm(evaluate(model, 2j * np.pi * data.nu_hz) - data.y, axis=(1, 2))
+    return float(np.median(error / np.linalg.norm(data.y, axis=(1, 2))))
+
+
+def _judged(
+    op_id: str, model: RationalModel, grid: Grid, margin: float, bases: Mapping[str, Any], warnings: tuple[str, ...]
+) -> PointTuning:
+    stability = judge(model, grid)
+    loop = stability.closed_loop
+    edge = critical_scale(model, grid, loop)
+    part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
+    k, predicted = _gain(model, grid, stability, margin, None if part is None else part.f_hz)
+    scr = None
+    if edge is not None and {"rated_voltage_v", "rated_power_va"} <= set(bases):
+        scr = critical_scr(edge, grid, bases["rated_voltage_v"], bases["rated_power_va"])
+    return PointTuning(
+        op_id=op_id,
+        verdict=stability.verdict,
+        reason=stability.reason,
+        probability=stability.probability,
+        model=model,
+        stability=stability,
+        margins=locus_margins(model, grid, stability.winding.nu_hz),
+        critical_scale=edge,
+        critical_scr=scr,
+        passivity=_least_passive(model),
+        participation=part,
+        k=k,
+        f_r_hz=None if part is None else part.f_hz,
+        margin_m_predicted=predicted,
+        warnings=(*warnings, *_gain_warnings(stability)),
+    )
+
+
+def _gain(
+    model: RationalModel, grid: Grid, stability: Stability, margin: float, f_r_hz: float | None
+) -> tuple[float | None, float | None]:
+    """k by the formula, and the m it predicts; k is zero where there is no crossing, None where nothing resonates."""
+    if f_r_hz is None:
+        return None, None
+    if stability.critical is None:
+        return 0.0, None
+    k = gain_for_margin(stability.critical.m, margin)
+    after = predicted_crossing(lambda f: evaluate_pn(model, f), grid, k, f_r_hz, swept_band(model))
+    return k, None if after is None else after.m
+
+
+def _gain_warnings(stability: Stability) -> tuple[str, ...]:
+    critical = stability.critical
+    if stability.verdict == "unstable" and (critical is None or critical.m >= 1.0):
+        return ("the instability is not at the critical crossing: the formula for k does not see it",)
+    return ()
+
+
+def _least_passive(model: RationalModel) -> tuple[float, float]:
+    index = passivity(model, model.f1_hz + model.nu_hz)
+    lowest = int(np.argmin(index.index_s))
+    return float(index.index_s[lowest]), float(index.f_hz[lowest])
+
+
+def _row_warnings(response: FrequencyResponse) -> tuple[str, ...]:
+    left_out = Counter(np.asarray(response.status)[~response.ok].tolist())
+    if not left_out:
+        return ()
+    text = ", ".join(f"{status} {count}" for status, count in sorted(left_out.items()))
+    return (f"{sum(left_out.values())} of {len(response)} rows are not ok and were left out ({text})",)
+
+
+def _opened(table: Table | Sequence[FrequencyResponse]) -> tuple[Sequence[FrequencyResponse], Mapping[str, Any]]:
+    if isinstance(table, Sequence):
+        return table, {}
+    return table.responses, table.meta
+
+
+def _chosen(responses: Sequence[FrequencyResponse], op_ids: Iterable[str] | None) -> Sequence[FrequencyResponse]:
+    if op_ids is None:
+        return responses
+    by_id = {response.meta.get("op_id"): response for response in responses}
+    wanted = list(op_ids)
+    if unknown := [op_id for op_id in wanted if op_id not in by_id]:
+        known = ", ".join(str(op_id) for op_id in by_id)
+        raise ValueError(f"no operating point {unknown[0]!r} in the table; it has {known}")
+    return [by_id[op_id] for op_id in wanted]
+
+
+def _check(responses: Sequence[FrequencyResponse], grid: Grid, margin: float) -> None:
+    if not responses:
+        raise ValueError("the table holds no operating point")
+    if not margin > 0.0:
+        raise ValueError(f"the required margin m is {margin:g}; it must be positive, e.g. 1.4")
+    fundamentals = sorted({response.f1_hz for response in responses})
+    if len(fundamentals) > 1:
+        text = ", ".join(f"{f1:g}" for f1 in fundamentals)
+        raise ValueError(f"the table holds {len(fundamentals)} fundamentals ({text} Hz): tune them one by one")
+    check_fundamental(fundamentals[0], grid)
+    for response in responses:
+        if response.frame != "pn":
+            raise ValueError(f"{response.meta.get('op_id')}: tuning reads the pn frame, given is {response.frame!r}")
+
+
+def _provenance(meta: Mapping[str, Any]) -> dict[str, Any]:
+    keys = ("format", "version", "sha256", "configuration_sha256", "plant", "power_meaning", "tool")
+    return {key: meta[key] for key in keys if key in meta}
