@@ -1,0 +1,236 @@
+"""Plants by name.
+
+A plant of ours has a versioned id such as ``branch-v1``. The rule: **changed physics, changed
+version.** Whatever can move a number in the table (an equation, a default, the integrator, what the
+power means) gets a new id, and the old one stays or is refused; it never answers with other numbers.
+Corrections that leave every number where it was keep the id.
+
+Other plants come in as ``python:package.module:factory``, or by an entry point of the group
+``seqsweep.plants`` whose name is the id. Nothing is imported before it is asked for.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+import json
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from .protocol import Plant
+
+ENTRY_POINT_GROUP = "seqsweep.plants"
+
+_UNSUPPORTED_KINDS = {"fmu": "an FMU", "cigre": "a real-code controller (CIGRE DLL)", "process": "a plant in a process"}
+
+_PROMISES = ("id", "f1_hz", "dt_s", "rating", "operating_range", "power_meaning", "settle", "run")
+
+_targets: dict[str, str] = {}
+
+
+class PlantError(ValueError):
+    """There is no such plant, or it cannot be made from these parameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlantSpec:
+    """What it takes to make a plant again: its id and its parameters, plain JSON values."""
+
+    id: str
+    parameters: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        try:
+            own = json.loads(json.dumps(dict(self.parameters), allow_nan=False))
+        except (TypeError, ValueError) as error:
+            raise PlantError(f"parameters of {self.id} must be numbers, text, lists or tables: {error}") from None
+        object.__setattr__(self, "parameters", own)
+
+    def make(self) -> Plant:
+        """The plant itself."""
+        return make_plant(self.id, self.parameters)
+
+    def to_json(self) -> str:
+        """One line of JSON, the same for equal specs."""
+        return json.dumps({"id": self.id, "parameters": self.parameters}, sort_keys=True, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> PlantSpec:
+        """The spec that `to_json` wrote."""
+        try:
+            content = json.loads(text)
+        except ValueError as error:
+            raise PlantError(f"the text of a plant spec is not JSON: {error}") from None
+        if not (
+            isinstance(content, dict)
+            and set(content) == {"id", "parameters"}
+            and isinstance(content["id"], str)
+            and isinstance(content["parameters"], dict)
+        ):
+            raise PlantError('a plant spec is {"id": text, "parameters": {...}}')
+        return cls(content["id"], content["parameters"])
+
+
+def register(plant_id: str, target: str) -> None:
+    """Let ``plant_id`` name the factory at ``target``, a "module:attribute" that is imported when asked for.
+
+    Raises
+    ------
+    ValueError
+        If the id has no version, the target no colon, or the id names another target already.
+    """
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*-v[0-9]+", plant_id):
+        raise ValueError(f"plant id {plant_id!r} must be small letters and a version, such as 'branch-v1'")
+    if not re.fullmatch(r"[\w.]+:\w+", target):
+        raise ValueError(f"target {target!r} must read 'module:attribute'")
+    if _targets.setdefault(plant_id, target) != target:
+        raise ValueError(f"{plant_id} is {_targets[plant_id]} already; changed physics get a new version")
+
+
+def registered_ids() -> list[str]:
+    """Ids of the registered plants, sorted; entry points are not looked at."""
+    return sorted(_targets)
+
+
+def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Plant:
+    """The plant named ``plant_id``, made from ``parameters``.
+
+    Parameters
+    ----------
+    plant_id : str
+        A registered id, the name of an entry point, or ``python:package.module:factory``; for the
+        last the current directory is searched first, as ``python -m`` does.
+    parameters : mapping, optional
+        Keyword arguments of the factory.
+
+    Raises
+    ------
+    PlantError
+        If there is no such plant, a parameter is unknown or refused, or what comes out is no plant.
+    """
+    factory = _find(plant_id)
+    arguments = dict(parameters or {})
+    _refuse_unknown(plant_id, factory, arguments)
+    try:
+        plant = factory(**arguments)
+    except Exception as error:
+        raise PlantError(_refusal(plant_id, arguments, error)) from error
+    missing = [name for name in _PROMISES if not hasattr(plant, name)]
+    if missing:
+        raise PlantError(f"{plant_id} made a {type(plant).__name__}, which is no plant: it lacks {', '.join(missing)}")
+    return plant
+
+
+def releases_gil(plant: Plant) -> bool:
+    """Whether the plant's class declares ``releases_gil = True``: worth running in threads."""
+    return bool(getattr(plant, "releases_gil", False))
+
+
+def fingerprint(plant: Plant, spec: PlantSpec) -> dict[str, Any]:
+    """What the table remembers of the plant; JSON values only."""
+    return {
+        "id": spec.id,
+        "parameters": dict(spec.parameters),
+        "dt_s": plant.dt_s,
+        "f1_hz": plant.f1_hz,
+        "rating": {"voltage_v": plant.rating.voltage_v, "power_va": plant.rating.power_va},
+        "power_meaning": plant.power_meaning,
+    }
+
+
+# ---------------------------------------------------------------------- from the id to the factory
+
+
+def _find(plant_id: str) -> Any:
+    kind, colon, rest = plant_id.partition(":")
+    if colon and kind == "python":
+        return _find_python(plant_id, rest)
+    if colon and kind in _UNSUPPORTED_KINDS:
+        raise PlantError(f"{plant_id}: {_UNSUPPORTED_KINDS[kind]} is not supported by this version of seqsweep")
+    if colon:
+        raise PlantError(f"{plant_id}: unknown kind of plant {kind!r}{_did_you_mean(kind, ['python'])}")
+    if plant_id in _targets:
+        return _load(plant_id, _targets[plant_id])
+    from importlib.metadata import entry_points
+
+    offered = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}
+    if plant_id in offered:
+        return _load(plant_id, offered[plant_id])
+    known = sorted({*_targets, *offered})
+    raise PlantError(
+        f"unknown plant {plant_id!r}{_did_you_mean(plant_id, known)}; known are {', '.join(known)} "
+        "and python:package.module:factory"
+    )
+
+
+def _find_python(plant_id: str, target: str) -> Any:
+    if not re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*", target):
+        raise PlantError(f"{plant_id} must read python:package.module:factory")
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    importlib.invalidate_caches()
+    return _load(plant_id, target)
+
+
+def _load(plant_id: str, target: str) -> Any:
+    module_name, _, attribute = target.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:
+        raise PlantError(f"{plant_id}: module {module_name} cannot be imported: {_in_words(error)}") from error
+    if not hasattr(module, attribute):
+        raise PlantError(
+            f"{plant_id}: module {module_name} has no {attribute!r}{_did_you_mean(attribute, dir(module))}"
+        )
+    factory = getattr(module, attribute)
+    if not callable(factory):
+        raise PlantError(f"{plant_id}: {attribute} of {module_name} is a {type(factory).__name__}, not a factory")
+    return factory
+
+
+# ---------------------------------------------------------------------- errors that help
+
+
+def _refuse_unknown(plant_id: str, factory: Any, arguments: Mapping[str, Any]) -> None:
+    """Refuse a parameter that the factory's signature does not have; one with ``**`` judges for itself."""
+    try:
+        signature = inspect.signature(factory).parameters
+    except (TypeError, ValueError):
+        return
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in signature.values()):
+        return
+    known = [name for name, p in signature.items() if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    for name in arguments:
+        if name not in known:
+            raise PlantError(
+                f"{plant_id} has no parameter {name!r}{_did_you_mean(name, known)}; it has {', '.join(known) or 'none'}"
+            )
+
+
+def _refusal(plant_id: str, arguments: Mapping[str, Any], error: Exception) -> str:
+    """The factory's own words, with the nearest of the names it mentions where a parameter is unknown to it."""
+    words = _in_words(error)
+    accused = [name for name in arguments if repr(name) in words]
+    mentioned = set(re.findall(r"\w+", words)) - set(arguments)
+    hint = _did_you_mean(accused[0], mentioned) if accused else ""
+    head = "" if words.startswith(plant_id) else f"{plant_id} cannot be made: "
+    return f"{head}{words}{hint}"
+
+
+def _in_words(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}".rstrip(": ")
+
+
+def _did_you_mean(given: str, known: Iterable[str]) -> str:
+    nearest = difflib.get_close_matches(given.lower(), sorted(known), n=1)
+    return f" (did you mean {nearest[0]!r}?)" if nearest else ""
+
+
+register("branch-v1", "seqsweep.plant.branch:RLBranch")
+register("dpmsg-v1", "seqsweep.plant.dpmsg:ReferenceTurbine")
