@@ -2,7 +2,8 @@
 
 In the dq frame the device is a real system, so coefficients are real, poles come in conjugate pairs and the
 points below f1 fall onto those above it: ``Ydq(-j nu) = conj Ydq(j nu)``. All four elements share the poles;
-residues have full rank while fitting and are cut to rank one where the second direction is noise.
+residues have full rank while fitting and are cut to rank one where the second direction is noise. The constant
+is there, and a term in s, only if the data ask for them.
 
 The order is the one with the lowest BIC, residuals below a noise floor counting no further. A pole stays only
 if the data pay for it: whatever can be removed and refitted at a lower BIC goes, whichever half-plane it is in.
@@ -27,6 +28,8 @@ MIN_POINTS = 8
 
 _ELEMENTS = 4
 _FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
+_NEAR = 1e-3  # poles closer than this, relatively, count as coinciding
+_LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
@@ -60,8 +63,12 @@ class RationalModel:
         In rad/s, dq frame: real ones first, then the upper halves of the pairs, then their conjugates.
     residues : (m, 2, 2) complex
         In S rad/s, same order as ``poles``.
+    full_residues : (m, 2, 2) complex
+        The residues before ranks were cut.
     d, e : (2, 2) float
-        Constant (S) and slope (S s); the slope is zero unless the data ask for it.
+        Constant (S) and slope (S s); zero unless the data ask for them.
+    tail : 0, 1 or 2
+        How many of the two are there: none, the constant, both.
     ranks : (m,) int
         Rank of each residue: 1 where the second direction is below its own uncertainty.
     bic : float
@@ -75,8 +82,9 @@ class RationalModel:
         What the points were weighted with.
     nu_hz : (n,) float
         Frequencies that were fitted, |f - f1| (Hz).
-    covariance : (k, k) float
-        Covariance of the real parameters, in the order of `gradient`.
+    covariance_root : (k, k) float
+        F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
+        poles have parameters of which only combinations are known: multiply F first, square then.
     pole_std : (m,) complex
         Standard errors of the poles, real part + 1j imaginary part (rad/s).
     notes : tuple of str
@@ -86,15 +94,17 @@ class RationalModel:
     f1_hz: float
     poles: np.ndarray
     residues: np.ndarray
+    full_residues: np.ndarray
     d: np.ndarray
     e: np.ndarray
+    tail: int
     ranks: np.ndarray
     bic: float
     residual: float
     noise_floor: float
     weighting: str
     nu_hz: np.ndarray
-    covariance: np.ndarray
+    covariance_root: np.ndarray
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
 
@@ -127,18 +137,20 @@ def evaluate_pn(model: RationalModel, f_hz: np.ndarray) -> np.ndarray:
     return T_PN @ evaluate(model, s) @ np.linalg.inv(T_PN)
 
 
-def gradient(model: RationalModel, s: complex, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Derivative of ``left @ Ydq(s) @ right`` with respect to the real parameters, (k,) complex.
+def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Derivative of ``sum_ij weight_ij Ydq_ij(s)`` with respect to the real parameters, (n, k) complex.
 
-    The order is: real poles, real parts of the pairs, imaginary parts of the pairs; then for each element
-    dd, dq, qd, qq its coefficients: real poles, Re and Im of the pairs' residues, D, and E if there is one.
+    ``s`` is (n,) in rad/s, ``weight`` (n, 2, 2). The parameters are: real poles, real parts of the pairs, imaginary
+    parts of the pairs; then for each element dd, dq, qd, qq its coefficients: real poles, Re and Im of the pairs'
+    residues, D and E if they are there. Taken where the fit was, before ranks were cut, as the covariance is.
     """
     n_real, n_pair = _counts(model.poles)
-    slopes = np.einsum("i,kij,j->k", left, model.residues, right) / (s - model.poles) ** 2
-    upper, lower = slopes[n_real : n_real + n_pair], slopes[n_real + n_pair :]
-    by_pole = np.concatenate([slopes[:n_real], upper + lower, 1j * (upper - lower)])
-    row = _basis(np.array([s]), model.poles[: n_real + n_pair], bool(np.any(model.e)))[0]
-    return np.concatenate([by_pole, np.kron(np.kron(left, right), row)])
+    slopes = np.einsum("nij,kij->nk", weight, model.full_residues) / (s[:, None] - model.poles) ** 2
+    upper, lower = slopes[:, n_real : n_real + n_pair], slopes[:, n_real + n_pair :]
+    rows = _basis(s, model.poles[: n_real + n_pair], model.tail)
+    coefficients = weight.reshape(-1, _ELEMENTS, 1) * rows[:, None, :]
+    by_pole = [slopes[:, :n_real], upper + lower, 1j * (upper - lower)]
+    return np.concatenate([*by_pole, coefficients.reshape(len(s), -1)], axis=1)
 
 
 def to_dq(response: FrequencyResponse) -> DqData:
@@ -220,10 +232,10 @@ class _Problem(NamedTuple):
 
 
 class _Trial(NamedTuple):
-    """Poles (upper half, real ones first), the slope switch, the sum of squares and the BIC."""
+    """Poles (upper half, real ones first), the number of tail terms, the sum of squares and the BIC."""
 
     poles: np.ndarray
-    slope: bool
+    tail: int
     cost: float
     bic: float
 
@@ -246,42 +258,49 @@ def _problem(data: DqData, noise_floor: float) -> _Problem:
 def _select_order(problem: _Problem, max_order: int, start: RationalModel | None) -> _Trial:
     """Grow by a pair where the misfit is largest until two pairs in a row do not pay."""
     poles = _first_poles(problem) if start is None else _upper(start.poles)
-    slope = start is not None and bool(np.any(start.e))
-    best = trial = _vector_fit(problem, poles, slope)
+    tail = 1 if start is None else start.tail
+    best = trial = _vector_fit(problem, poles, tail)
     misses = 0
     while misses < 2 and _order(trial.poles) + 2 <= max_order and trial.cost > _floor_cost(problem):
-        trial = _vector_fit(problem, _with_pair(problem, trial), slope)
+        trial = _vector_fit(problem, _with_pair(problem, trial), tail)
         misses = 0 if trial.bic < best.bic else misses + 1
         best = min(best, trial, key=lambda t: t.bic)
     return best
 
 
 def _prune(problem: _Problem, trial: _Trial) -> _Trial:
-    """Remove, one by one, the pole or pair whose removal and refit lowers the BIC most."""
-    while len(trial.poles) > 1:
-        reduced = [np.delete(trial.poles, k) for k in range(len(trial.poles))]
-        costs = [_linear(problem, poles, trial.slope).cost for poles in reduced]
-        candidate = _refine(problem, _trial(problem, reduced[int(np.argmin(costs))], trial.slope))
+    """Take away, one by one, what the data do not pay for: a pole or pair, a tail term, a far pole for a slope."""
+    while True:
+        reduced = [_trial(problem, poles, tail) for poles, tail in _reductions(problem, trial)]
+        if not reduced:
+            return trial
+        candidate = _refine(problem, min(reduced, key=lambda t: t.bic))
         if candidate.bic >= trial.bic:
             return trial
         trial = candidate
-    return trial
+
+
+def _reductions(problem: _Problem, trial: _Trial) -> list[tuple[np.ndarray, int]]:
+    n = len(trial.poles)
+    found = [(np.delete(trial.poles, k), trial.tail) for k in range(n)]
+    if trial.tail > 0 and n > 0:
+        found.append((trial.poles, trial.tail - 1))
+    far = np.flatnonzero(_is_far(problem, trial.poles)) if trial.tail == 1 else []
+    return found + [(np.delete(trial.poles, k), 2) for k in far]
 
 
 def _settle_far_poles(problem: _Problem, trial: _Trial) -> tuple[_Trial, tuple[str, ...]]:
     """Mirror right-half-plane poles outside the band, or trade them for a slope, where the fit does not suffer."""
     notes = []
-    w_max = abs(problem.s[-1])
-    far = np.flatnonzero((trial.poles.real > 0.0) & (np.abs(trial.poles) > _FAR * w_max))
-    for pole in trial.poles[far]:
+    for pole in trial.poles[_is_far(problem, trial.poles) & (trial.poles.real > 0.0)]:
         k = int(np.argmin(np.abs(trial.poles - pole)))
         mirrored = trial.poles.copy()
         mirrored[k] = -pole.conjugate()
-        options = [_refine(problem, _trial(problem, mirrored, trial.slope))]
-        options.append(_refine(problem, _trial(problem, np.delete(trial.poles, k), True)))
-        settled = [t for t in options if not np.any((t.poles.real > 0.0) & (np.abs(t.poles) > _FAR * w_max))]
+        options = [_refine(problem, _trial(problem, mirrored, trial.tail))]
+        options.append(_refine(problem, _trial(problem, np.delete(trial.poles, k), 2)))
+        settled = [t for t in options if not np.any(_is_far(problem, t.poles) & (t.poles.real > 0.0))]
         best = min(settled, key=lambda t: t.bic, default=trial)
-        if best.bic <= trial.bic + np.log(2 * problem.y.size):
+        if best is not trial and best.bic <= trial.bic + np.log(2 * problem.y.size):
             trial = best
             notes.append(
                 f"a pole fitted at {pole.real:+.3g} rad/s, outside the swept band, was taken as stable: "
@@ -290,20 +309,25 @@ def _settle_far_poles(problem: _Problem, trial: _Trial) -> tuple[_Trial, tuple[s
     return trial, tuple(notes)
 
 
+def _is_far(problem: _Problem, poles: np.ndarray) -> np.ndarray:
+    """(m,) bool: outside the swept band."""
+    return np.abs(poles) > _FAR * abs(problem.s[-1])
+
+
 def _floor_cost(problem: _Problem) -> float:
     return 2 * problem.y.size * problem.floor**2
 
 
-def _bic(problem: _Problem, cost: float, n_poles: int, slope: bool) -> float:
+def _bic(problem: _Problem, cost: float, n_poles: int, tail: int) -> float:
     """N ln(misfit^2 + floor^2) + parameters ln N; a pole's place, sought over the whole band, counts threefold."""
     n = 2 * problem.y.size
-    parameters = _SEARCHED * n_poles + _ELEMENTS * (n_poles + 1 + slope)
+    parameters = _SEARCHED * n_poles + _ELEMENTS * (n_poles + tail)
     return n * float(np.log(cost / n + problem.floor**2)) + parameters * float(np.log(n))
 
 
-def _trial(problem: _Problem, poles: np.ndarray, slope: bool) -> _Trial:
-    cost = _linear(problem, poles, slope).cost
-    return _Trial(poles, slope, cost, _bic(problem, cost, _order(poles), slope))
+def _trial(problem: _Problem, poles: np.ndarray, tail: int) -> _Trial:
+    cost = _linear(problem, poles, tail).cost
+    return _Trial(poles, tail, cost, _bic(problem, cost, _order(poles), tail))
 
 
 def _first_poles(problem: _Problem) -> np.ndarray:
@@ -315,7 +339,7 @@ def _first_poles(problem: _Problem) -> np.ndarray:
 
 def _with_pair(problem: _Problem, trial: _Trial) -> np.ndarray:
     """The trial's poles and a weakly damped pair at the frequency of the largest misfit."""
-    misfit = np.abs(_linear(problem, trial.poles, trial.slope).misfit)
+    misfit = np.abs(_linear(problem, trial.poles, trial.tail).misfit)
     n = len(problem.s)
     by_line = np.sum(misfit[:, :n] ** 2 + misfit[:, n:] ** 2, axis=0)
     beta = abs(problem.s[int(np.argmax(by_line))])
@@ -325,14 +349,14 @@ def _with_pair(problem: _Problem, trial: _Trial) -> np.ndarray:
 # Vector fitting ------------------------------------------------------------------------------------------------
 
 
-def _vector_fit(problem: _Problem, poles: np.ndarray, slope: bool, n_iterations: int = 12) -> _Trial:
+def _vector_fit(problem: _Problem, poles: np.ndarray, tail: int, n_iterations: int = 12) -> _Trial:
     """Relocate poles until they rest; the best iterate counts, because noise lets them wander."""
-    best = _trial(problem, poles, slope)
+    best = _trial(problem, poles, tail)
     for _ in range(n_iterations):
-        moved = _relocate(problem, poles, slope)
+        moved = _relocate(problem, poles, tail)
         if moved is None:
             break
-        trial = _trial(problem, moved, slope)
+        trial = _trial(problem, moved, tail)
         gain = best.cost - trial.cost
         best = min(best, trial, key=lambda t: t.cost)
         if abs(gain) < 1e-3 * best.cost or best.cost < _floor_cost(problem):
@@ -341,11 +365,11 @@ def _vector_fit(problem: _Problem, poles: np.ndarray, slope: bool, n_iterations:
     return best
 
 
-def _relocate(problem: _Problem, poles: np.ndarray, slope: bool) -> np.ndarray | None:
+def _relocate(problem: _Problem, poles: np.ndarray, tail: int) -> np.ndarray | None:
     """One step of relaxed vector fitting: the zeros of sigma(s) = d + sum c_k phi_k(s) are the new poles."""
-    phi = _basis(problem.s, poles, slope)
+    phi = _basis(problem.s, poles, tail)
     m = _order(poles)
-    sigma = phi[:, : m + 1]
+    sigma = np.append(phi[:, :m], np.ones((len(problem.s), 1)), axis=1)
     block = (
         np.concatenate([np.broadcast_to(phi, (_ELEMENTS, *phi.shape)), -problem.y[:, :, None] * sigma], axis=2)
         * problem.weight[:, :, None]
@@ -374,14 +398,14 @@ def _realisation(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a, np.concatenate([np.ones(n_real), np.full(n_pair, 2.0), np.zeros(n_pair)])
 
 
-def _basis(s: np.ndarray, poles: np.ndarray, slope: bool) -> np.ndarray:
-    """(n, order + 1 (+ 1)) real-coefficient partial fractions, then the constant, then s."""
+def _basis(s: np.ndarray, poles: np.ndarray, tail: int) -> np.ndarray:
+    """(n, order + tail) real-coefficient partial fractions, then the constant, then s."""
     n_real, _ = _counts_upper(poles)
     upper = 1.0 / (s[:, None] - poles)
     lower = 1.0 / (s[:, None] - poles[n_real:].conj())
     pairs = upper[:, n_real:]
-    columns = [upper[:, :n_real], pairs + lower, 1j * (pairs - lower), np.ones((len(s), 1))]
-    return np.concatenate(columns + [s[:, None]] * slope, axis=1)
+    powers = s[:, None] ** np.arange(tail)
+    return np.concatenate([upper[:, :n_real], pairs + lower, 1j * (pairs - lower), powers], axis=1)
 
 
 # Linear and nonlinear least squares ------------------------------------------------------------------------------
@@ -398,8 +422,8 @@ class _Linear(NamedTuple):
     cost: float
 
 
-def _linear(problem: _Problem, poles: np.ndarray, slope: bool) -> _Linear:
-    phi = _basis(problem.s, poles, slope)
+def _linear(problem: _Problem, poles: np.ndarray, tail: int) -> _Linear:
+    phi = _basis(problem.s, poles, tail)
     columns = _stack(phi[None] * problem.weight[:, :, None])
     norm = np.linalg.norm(columns, axis=1)
     q, r = np.linalg.qr(columns / norm[:, None, :])
@@ -421,7 +445,7 @@ def _regular(r: np.ndarray) -> np.ndarray:
 def _refine(problem: _Problem, trial: _Trial, n_iterations: int = 10) -> _Trial:
     """Levenberg-Marquardt on the poles with the residues projected out (Kaufman's variable projection)."""
     damping = 1e-6
-    linear = _linear(problem, trial.poles, trial.slope)
+    linear = _linear(problem, trial.poles, trial.tail)
     for _ in range(n_iterations):
         if linear.cost < _floor_cost(problem):
             break
@@ -433,7 +457,7 @@ def _refine(problem: _Problem, trial: _Trial, n_iterations: int = 10) -> _Trial:
         for _ in range(6):
             step = vt.T @ (singular / (singular**2 + damping) * projected) / size
             poles = _moved(trial.poles, step)
-            moved = _linear(problem, poles, trial.slope)
+            moved = _linear(problem, poles, trial.tail)
             if moved.cost < linear.cost:
                 break
             damping *= 30.0
@@ -443,13 +467,28 @@ def _refine(problem: _Problem, trial: _Trial, n_iterations: int = 10) -> _Trial:
         trial, linear, damping = trial._replace(poles=poles), moved, max(damping / 30.0, 1e-12)
         if gain < 1e-7 * linear.cost:
             break
-    return trial._replace(cost=linear.cost, bic=_bic(problem, linear.cost, _order(trial.poles), trial.slope))
+    return trial._replace(cost=linear.cost, bic=_bic(problem, linear.cost, _order(trial.poles), trial.tail))
 
 
 def _moved(poles: np.ndarray, step: np.ndarray) -> np.ndarray:
     n_real, n_pair = _counts_upper(poles)
     moved = poles + np.concatenate([step[:n_real], step[n_real : n_real + n_pair] + 1j * step[n_real + n_pair :]])
-    return np.where(poles.imag == 0.0, moved.real + 0j, moved.real + 1j * np.maximum(moved.imag, 1e-9))
+    return _separated(np.where(poles.imag == 0.0, moved.real + 0j, moved))
+
+
+def _separated(poles: np.ndarray) -> np.ndarray:
+    """A pair meeting on the real axis becomes two real poles, two equal real poles a pair: no residue explodes."""
+    real = np.sort(poles[poles.imag == 0.0].real)
+    pairs = poles[poles.imag != 0.0]
+    meeting = np.abs(pairs.imag) < _NEAR * np.abs(pairs)
+    apart = np.abs(pairs[meeting]) * _NEAR
+    close = np.flatnonzero(np.diff(real) < _NEAR * np.abs(real[1:]))[:1]
+    middle = (real[close] + real[close + 1]) / 2.0
+    kept = np.delete(real, np.concatenate([close, close + 1]))
+    pairs = np.concatenate([pairs[~meeting], middle + 2j * _NEAR * np.abs(middle)])
+    met = poles[poles.imag != 0.0][meeting].real
+    real = np.concatenate([kept, met - apart, met + apart])
+    return np.concatenate([real + 0j, pairs.real + 1j * np.abs(pairs.imag)])
 
 
 def _projected_jacobian(problem: _Problem, trial: _Trial, linear: _Linear) -> tuple[np.ndarray, np.ndarray]:
@@ -464,104 +503,171 @@ def _projected_jacobian(problem: _Problem, trial: _Trial, linear: _Linear) -> tu
     up, low = pair[:, None] * upper[None, :, n_real:], pair.conj()[:, None] * lower[None]
     full = _stack(np.concatenate([real, up + low, 1j * (up - low)], axis=2) * problem.weight[:, :, None])
     inside = np.swapaxes(linear.q, 1, 2) @ full
-    return (full - linear.q @ inside).reshape(-1, m), inside
+    return (full - linear.q @ inside).reshape(linear.misfit.size, m), inside
 
 
 # The finished model ------------------------------------------------------------------------------------------------
 
 
 def _model(problem: _Problem, data: DqData, f1_hz: float, trial: _Trial, notes: tuple[str, ...]) -> RationalModel:
-    linear = _linear(problem, trial.poles, trial.slope)
+    linear = _linear(problem, trial.poles, trial.tail)
+    cut = _cut_ranks(problem, trial, linear)
+    residues, d, e = _parts(trial, cut.coefficients)
     n_real, n_pair = _counts_upper(trial.poles)
     m = n_real + 2 * n_pair
-    x = linear.coefficients.T.reshape(-1, 2, 2)
-    pair = x[n_real : n_real + n_pair] + 1j * x[n_real + n_pair : m]
-    covariance = _covariance(problem, trial, linear)
-    std = np.sqrt(np.diag(covariance)[:m])
+    root = _covariance_root(problem, trial, linear)
+    std = np.linalg.norm(root[:m], axis=1)
     pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
     model = RationalModel(
         f1_hz=f1_hz,
         poles=np.concatenate([trial.poles, trial.poles[n_real:].conj()]),
-        residues=np.concatenate([x[:n_real].astype(complex), pair, pair.conj()]),
-        d=x[m],
-        e=x[m + 1] if trial.slope else np.zeros((2, 2)),
-        ranks=np.full(m, 2),
+        residues=_truncated(residues, cut.ranks),
+        full_residues=_parts(trial, linear.coefficients)[0],
+        d=d,
+        e=e,
+        tail=trial.tail,
+        ranks=cut.ranks,
         bic=trial.bic,
         residual=float(np.sqrt(linear.cost / linear.misfit.size)),
         noise_floor=problem.noise_floor,
         weighting=problem.weighting,
         nu_hz=data.nu_hz,
-        covariance=covariance,
+        covariance_root=root,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
     )
-    return _open_signs(_cut_ranks(model))
+    return _with_sign_notes(model)
 
 
-def _covariance(problem: _Problem, trial: _Trial, linear: _Linear) -> np.ndarray:
-    """Covariance of poles and coefficients: the Gauss-Newton inverse, scaled by the misfit."""
+def _parts(trial: _Trial, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residues (m, 2, 2), D and E (2, 2) from the coefficients (4, c)."""
+    n_real, n_pair = _counts_upper(trial.poles)
+    m = n_real + 2 * n_pair
+    x = coefficients.T.reshape(-1, 2, 2)
+    pair = x[n_real : n_real + n_pair] + 1j * x[n_real + n_pair : m]
+    tail = np.concatenate([x[m:], np.zeros((2 - trial.tail, 2, 2))])
+    return np.concatenate([x[:n_real].astype(complex), pair, pair.conj()]), tail[0], tail[1]
+
+
+def _variance(problem: _Problem, trial: _Trial, linear: _Linear) -> float:
+    """Variance of a weighted datum, from the misfit."""
+    freedom = linear.misfit.size - _order(trial.poles) - linear.coefficients.size
+    return max(linear.cost / max(freedom, 1), (1e-3 * problem.floor) ** 2)
+
+
+def _inverse_r(linear: _Linear) -> np.ndarray:
+    """(4, c, c) whose products with their transposes are the coefficients' covariance for given poles."""
+    return np.linalg.inv(_regular(linear.r)) / linear.norm[:, :, None]
+
+
+def _covariance_root(problem: _Problem, trial: _Trial, linear: _Linear) -> np.ndarray:
+    """Root of the covariance of poles and coefficients: the Gauss-Newton inverse, scaled by the misfit."""
     jacobian, inside = _projected_jacobian(problem, trial, linear)
-    m = jacobian.shape[1]
-    c = linear.r.shape[1]
-    variance = linear.cost / max(linear.misfit.size - m - _ELEMENTS * c, 1)
-    variance = max(variance, (1e-3 * problem.floor) ** 2)
+    m, c = jacobian.shape[1], linear.r.shape[1]
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0.0] = 1.0
-    poles = np.linalg.pinv(jacobian / size, rcond=1e-13) / size[:, None]
-    poles = poles @ poles.T
-    r_inverse = np.linalg.inv(_regular(linear.r)) / linear.norm[:, :, None]
-    carried = -(r_inverse @ inside).reshape(_ELEMENTS * c, m)
-    covariance = np.zeros((m + _ELEMENTS * c,) * 2)
-    covariance[:m, :m] = poles
-    covariance[m:, :m] = carried @ poles
-    covariance[:m, m:] = covariance[m:, :m].T
-    covariance[m:, m:] = covariance[m:, :m] @ carried.T
-    for k in range(_ELEMENTS):
-        at = slice(m + k * c, m + (k + 1) * c)
-        covariance[at, at] += r_inverse[k] @ r_inverse[k].T
-    return variance * covariance
+    _, singular, vh = np.linalg.svd(jacobian / size, full_matrices=False)
+    poles = vh.T / np.maximum(singular, 1e-13 * singular.max(initial=0.0)) / size[:, None]
+    r_inverse = _inverse_r(linear)
+    root = np.zeros((m + _ELEMENTS * c,) * 2)
+    root[:m, :m] = poles
+    root[m:, :m] = -(r_inverse @ (inside @ poles)).reshape(_ELEMENTS * c, m)
+    root[m:, m:] = _block_diagonal(r_inverse)
+    return np.sqrt(_variance(problem, trial, linear)) * root
 
 
-def _cut_ranks(model: RationalModel) -> RationalModel:
-    """Rank one where the residue's second singular value is below four of its standard errors."""
-    n_real, n_pair = _counts(model.poles)
-    residues, ranks = model.residues.copy(), model.ranks.copy()
-    m, c = model.order, (len(model.covariance) - model.order) // _ELEMENTS
-    for k in range(n_real + n_pair):
-        u, singular, vh = np.linalg.svd(model.residues[k])
-        direction = np.kron(u[:, 1].conj(), vh[1].conj())
-        index = m + c * np.arange(_ELEMENTS) + k
-        if k < n_real:
-            weights, index = direction.real, index
-        else:
-            weights, index = np.concatenate([direction.real, -direction.imag]), np.concatenate([index, index + n_pair])
-        std = np.sqrt(weights @ model.covariance[np.ix_(index, index)] @ weights)
-        if singular[1] < max(4.0 * std, 1e-12 * singular[0]):
-            cut = singular[0] * np.outer(u[:, 0], vh[0])
-            residues[k], ranks[k] = cut, 1
-            if k >= n_real:
-                residues[k + n_pair], ranks[k + n_pair] = cut.conj(), 1
-    return replace(model, residues=residues, ranks=ranks)
+# The rank of the residues ------------------------------------------------------------------------------------------
 
 
-def _open_signs(model: RationalModel) -> RationalModel:
-    """Note every pole whose half-plane the data leave open."""
-    open_ones = [
-        f"the half-plane of the device's own pole at {p.real:+.3g} +- {std.real:.2g} rad/s, "
-        f"{abs(p.imag) / (2 * np.pi):.3g} Hz (dq) is not decided by the data"
-        for p, std in zip(model.poles, model.pole_std, strict=True)
-        if p.imag >= 0.0 and abs(p.real) < 2.0 * std.real
-    ]
-    return replace(model, notes=(*model.notes, *open_ones))
+class _Cut(NamedTuple):
+    """Coefficients (4, c) with some residues made singular, and the ranks (m,)."""
+
+    coefficients: np.ndarray
+    ranks: np.ndarray
+
+
+def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:
+    """Rank one, one residue after the other, while losing the second direction costs less than its BIC penalty.
+
+    The direction is held at zero and all other coefficients are fitted again, poles fixed: a plain conditional least
+    squares, so that residues of neighbouring poles, which only their sum is known of, are not cut one by one.
+    """
+    n_real, n_pair = _counts_upper(trial.poles)
+    r_inverse = _inverse_r(linear)
+    covariance = _variance(problem, trial, linear) * _block_diagonal(r_inverse @ np.swapaxes(r_inverse, 1, 2))
+    x = linear.coefficients.ravel()
+    open_ones = set(range(n_real + n_pair))
+    penalty = float(np.log(2 * problem.y.size))
+    while open_ones:
+        weights = {k: _second_direction(trial, x.reshape(_ELEMENTS, -1), k) for k in open_ones}
+        price = {k: _price(w, x, covariance) / len(w) for k, w in weights.items()}
+        k = min(price, key=lambda at: price[at])
+        if price[k] > penalty:
+            break
+        w = weights[k]
+        lever = np.linalg.solve(w @ covariance @ w.T, w @ covariance).T
+        x, covariance = x - lever @ (w @ x), covariance - lever @ (w @ covariance)
+        open_ones.remove(k)
+    ranks = np.array([2 if k in open_ones else 1 for k in range(n_real + n_pair)], dtype=int)
+    return _Cut(x.reshape(_ELEMENTS, -1), np.append(ranks, ranks[n_real:]))
+
+
+def _second_direction(trial: _Trial, coefficients: np.ndarray, k: int) -> np.ndarray:
+    """Rows (1 or 2, 4c) that read Re and Im of the second singular direction of residue k."""
+    n_real, n_pair = _counts_upper(trial.poles)
+    u, _, vh = np.linalg.svd(_parts(trial, coefficients)[0][k])
+    direction = np.kron(u[:, 1].conj(), vh[1].conj())
+    rows = np.zeros((1 if k < n_real else 2, *coefficients.shape))
+    rows[0, :, k] = direction.real
+    if k >= n_real:
+        rows[1, :, k] = direction.imag
+        rows[0, :, k + n_pair], rows[1, :, k + n_pair] = -direction.imag, direction.real
+    return rows.reshape(len(rows), -1)
+
+
+def _price(rows: np.ndarray, x: np.ndarray, covariance: np.ndarray) -> float:
+    """Rise of chi-squared when ``rows @ x`` is held at zero."""
+    value = rows @ x
+    spread = rows @ covariance @ rows.T
+    scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    return float(value / scale @ np.linalg.lstsq(spread / np.outer(scale, scale), value / scale, rcond=None)[0])
+
+
+def _truncated(residues: np.ndarray, ranks: np.ndarray) -> np.ndarray:
+    """Residues with the second singular value set to zero where the rank is one."""
+    u, singular, vh = np.linalg.svd(residues)
+    singular[ranks == 1, 1] = 0.0
+    return (u * singular[:, None, :]) @ vh
+
+
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """(4, c, c) to (4c, 4c)."""
+    n, c = blocks.shape[:2]
+    full = np.zeros((n, c, n, c))
+    full[np.arange(n), :, np.arange(n), :] = blocks
+    return full.reshape(n * c, n * c)
+
+
+def _with_sign_notes(model: RationalModel) -> RationalModel:
+    """Note every pole in the right half-plane, and every lightly damped one whose half-plane the data leave open."""
+    noted = []
+    for pole, std in zip(model.poles, model.pole_std, strict=True):
+        text = f"{pole.real:+.3g} +- {std.real:.2g} rad/s, {abs(pole.imag) / (2.0 * np.pi):.3g} Hz (dq)"
+        is_open = abs(pole.real) < min(2.0 * std.real, _LIGHT * abs(pole))
+        if pole.imag >= 0.0 and is_open:
+            noted.append(f"the half-plane of the device's own pole at {text} is not decided by the data")
+        elif pole.imag >= 0.0 and pole.real > 0.0:
+            noted.append(f"the device is unstable on an ideal source: it has a pole of its own at {text}")
+    return replace(model, notes=(*model.notes, *noted))
 
 
 # Small things ------------------------------------------------------------------------------------------------------
 
 
 def _upper(poles: np.ndarray) -> np.ndarray:
-    """Real poles, then the upper halves of the pairs."""
+    """Real poles, then the upper halves of the pairs, kept apart from each other."""
     real = np.abs(poles.imag) <= 1e-9 * np.abs(poles)
-    return np.concatenate([poles[real].real + 0j, poles[~real & (poles.imag > 0.0)]])
+    return _separated(np.concatenate([poles[real].real + 0j, poles[~real & (poles.imag > 0.0)]]))
 
 
 def _counts_upper(poles: np.ndarray) -> tuple[int, int]:

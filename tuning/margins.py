@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit import T_PN, RationalModel, evaluate, evaluate_pn
-from .poles import ClosedLoop, closed_loop_poles, mode_shape
+from .poles import closed_loop_poles, is_beyond, mode_shape
 from .siso import Grid, impedance_dq
 
 SCALE_RANGE = (0.05, 20.0)
@@ -95,7 +95,7 @@ def locus_margins(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> LocusM
     )
 
 
-def critical_scale(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> float | None:
+def critical_scale(model: RationalModel, grid: Grid) -> float | None:
     """Multiplier of R and X at which the loop is on the edge, the device's admittance being held.
 
     Above one for a stable loop (the first on the way up), below one for an unstable one (the first on the way
@@ -103,9 +103,10 @@ def critical_scale(model: RationalModel, grid: Grid, loop: ClosedLoop | None = N
     """
 
     def rightmost(scale: float) -> float:
-        return float(closed_loop_poles(model, grid.scaled(scale)).real.max())
+        poles = closed_loop_poles(model, grid.scaled(scale))
+        return float(poles.real[~is_beyond(model, poles)].max(initial=-np.inf))
 
-    inner, value = 1.0, rightmost(1.0) if loop is None else float(loop.poles.real.max())
+    inner, value = 1.0, rightmost(1.0)
     step = _SCAN_STEP if value <= 0.0 else 1.0 / _SCAN_STEP
     while SCALE_RANGE[0] < inner < SCALE_RANGE[1]:
         outer = inner * step
@@ -169,10 +170,10 @@ def _phase_margin_deg(loop: np.ndarray) -> float | None:
 
 
 def _root(function: Callable[[float], float], inner: tuple[float, float], outer: tuple[float, float]) -> float:
-    """Zero of a continuous function between two points of different sign: Illinois' false position."""
+    """Zero of a function between two points of different sign: Illinois' false position, halving where it jumps."""
     (a, fa), (b, fb) = inner, outer
     for _ in range(60):
-        x = (a * fb - b * fa) / (fb - fa)
+        x = (a * fb - b * fa) / (fb - fa) if np.isfinite(fb - fa) else (a + b) / 2.0
         fx = function(x)
         if abs(fx) < 1e-7 or abs(b - a) < 1e-12 * abs(b):
             return x

@@ -13,6 +13,9 @@ from .siso import Grid, check_fundamental, impedance_dq
 RESONANCE_FROM_HZ = 5.0
 """Modes below this frequency in dq are slow modes, not resonances (Hz)."""
 
+BEYOND = 1.5
+"""Poles further out than this multiple of the highest swept |f - f1| are not believed."""
+
 _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
@@ -37,11 +40,14 @@ class ClosedLoop:
         Poles with Im >= 0 (rad/s), largest real part first; the conjugates are implied.
     std : (m,) complex
         Standard errors, real part + 1j imaginary part (rad/s).
+    beyond : (m,) bool
+        Too far outside the swept band to be believed: only the fit's asymptotes speak there.
     """
 
     f1_hz: float
     poles: np.ndarray
     std: np.ndarray
+    beyond: np.ndarray
 
     @property
     def damping(self) -> np.ndarray:
@@ -55,8 +61,8 @@ class ClosedLoop:
 
     @property
     def n_unstable(self) -> int:
-        """Poles in the right half-plane, conjugates counted."""
-        unstable = self.poles[self.poles.real > 0.0]
+        """Believed poles in the right half-plane, conjugates counted."""
+        unstable = self.poles[(self.poles.real > 0.0) & ~self.beyond]
         return int(len(unstable) + np.sum(unstable.imag > 0.0))
 
     @property
@@ -84,7 +90,13 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     poles = closed_loop_poles(model, grid)
     upper = poles[poles.imag >= 0.0]
     upper = upper[np.argsort(-upper.real)]
-    return ClosedLoop(model.f1_hz, upper, np.array([_standard_error(model, grid, p) for p in upper]))
+    std = np.array([_standard_error(model, grid, p) for p in upper])
+    return ClosedLoop(model.f1_hz, upper, std, is_beyond(model, upper))
+
+
+def is_beyond(model: RationalModel, poles: np.ndarray) -> np.ndarray:
+    """(m,) bool: further from the origin than 1.5 times the highest swept |f - f1|."""
+    return np.abs(poles) > BEYOND * 2.0 * np.pi * model.nu_hz[-1]
 
 
 def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:
@@ -124,18 +136,12 @@ def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
     return Shape(left, right, complex(left @ slope @ right))
 
 
-def pole_gradient(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
-    """Derivative of a closed-loop pole with respect to the model's real parameters, (k,) complex."""
-    shape = mode_shape(model, grid, pole)
-    return -gradient(model, pole, shape.left, shape.right) / shape.slope
-
-
 def _standard_error(model: RationalModel, grid: Grid, pole: complex) -> complex:
-    g = pole_gradient(model, grid, pole)
-    both = np.stack([g.real, g.imag])
-    variance = np.einsum("ij,jk,ik->i", both, model.covariance, both)
-    real, imag = np.sqrt(np.maximum(variance, 0.0))
-    return complex(real, imag)
+    """Delta method: the pole moves by -left dY right / (left M' right)."""
+    shape = mode_shape(model, grid, pole)
+    weight = np.outer(shape.left, shape.right)[None] / shape.slope
+    g = gradient(model, np.array([pole]), weight)[0]
+    return complex(np.linalg.norm(g.real @ model.covariance_root), np.linalg.norm(g.imag @ model.covariance_root))
 
 
 def _states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Stable, unstable or undecided: the winding number decides, the Bode criterion is shown beside it.
 
 Stable iff the locus of det(Y + Yg) over f = -inf ... inf winds about zero, counter-clockwise, as often as the
-device has poles of its own in the right half-plane. The locus is evaluated on the rational fit.
+device has poles of its own in the right half-plane. The locus is evaluated on the rational fit; how sure it is that
+it passes zero on this side follows from the fit's covariance.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, evaluate, evaluate_pn
+from ..identify.fit import RationalModel, evaluate, evaluate_pn, gradient
 from .poles import ClosedLoop, closed_loop
 from .siso import Grid, check_fundamental, impedance_dq, impedance_pn, siso
 
@@ -62,7 +63,10 @@ class Winding:
     Attributes
     ----------
     number : int
-        Counter-clockwise turns about zero.
+        Counter-clockwise turns about zero, the ends closed by the fit.
+    number_shortest : int
+        The same with the ends closed the shortest way: from the highest swept frequency on, no eigenvalue of Y Zg is
+        taken to pass -1. It differs where the fit's asymptotes alone turn the locus about zero.
     nu_hz : (n,) float
         Frequencies in the dq frame (Hz), refined.
     locus : (n,) complex
@@ -74,6 +78,7 @@ class Winding:
     """
 
     number: int
+    number_shortest: int
     nu_hz: np.ndarray
     locus: np.ndarray
     largest_step_deg: float
@@ -97,7 +102,7 @@ class Stability:
     reason : str
         Why, in one sentence.
     probability : float
-        Probability that the loop is stable, from the poles' standard errors.
+        Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band.
     winding : Winding
         The locus.
     n_open_loop_unstable : int
@@ -141,7 +146,8 @@ def judge(model: RationalModel, grid: Grid) -> Stability:
     loop = closed_loop(model, grid)
     winding = wind(model, grid, loop)
     crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
-    probability = stable_probability(loop)
+    number = _believed_number(model, grid, winding)
+    probability = stable_probability(model, grid, winding.nu_hz, number == model.n_unstable)
     verdict, reason = _decide(model, grid, loop, winding, probability)
     bode_stable = all(c.m >= 1.0 for c in crossings)
     return Stability(
@@ -154,7 +160,7 @@ def judge(model: RationalModel, grid: Grid) -> Stability:
         crossings=crossings,
         critical=critical_crossing(crossings, model.f1_hz),
         bode_stable=bode_stable,
-        bode_note=_bode_note(model, grid, crossings, winding.number == model.n_unstable),
+        bode_note=_bode_note(model, grid, crossings, number == model.n_unstable),
         extrapolation=_extrapolation(model, winding),
     )
 
@@ -282,12 +288,32 @@ def wind(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> Wi
     middle = (nu[1:] + nu[:-1]) / 2.0
     return Winding(
         number=_turns(values),
+        number_shortest=_turns_closed_shortest(model, grid),
         nu_hz=nu,
         locus=values,
         largest_step_deg=float(max(np.abs(steps).max(), abs(closing))),
         beyond_deg=float(np.sum(steps[middle > model.nu_hz[-1]])),
         inside_deg=float(np.sum(steps[(middle > 0.0) & (middle < model.nu_hz[0])])),
     )
+
+
+def _turns_closed_shortest(model: RationalModel, grid: Grid) -> int:
+    """Turns of det(1 + Y Z) up to the highest swept frequency, then back to one with no eigenvalue passing -1.
+
+    det(1 + Y Z) = det(Y + Yg) det Z, and det Z, zero-free on the right, closes the shortest way by itself.
+    """
+
+    def determinant(nu_hz: np.ndarray) -> np.ndarray:
+        s = 2j * np.pi * nu_hz
+        return _det(np.eye(2) + evaluate(model, s) @ impedance_dq(grid, s))
+
+    nu = _first_nu(model, None)
+    nu = nu[(nu >= 0.0) & (nu <= model.nu_hz[-1])]
+    _, values = refine_locus(determinant, nu)
+    half = float(np.sum(np.angle(values[1:] / values[:-1])))
+    s = 2j * np.pi * model.nu_hz[-1:]
+    gains = np.linalg.eigvals(evaluate(model, s)[0] @ impedance_dq(grid, s)[0])
+    return round((half - float(np.sum(np.angle(1.0 + gains)))) / np.pi)
 
 
 def refine_locus(function: Admittance, nu_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -337,10 +363,8 @@ def _first_nu(model: RationalModel, loop: ClosedLoop | None) -> np.ndarray:
 
 def _end_hz(model: RationalModel, loop: ClosedLoop | None) -> float:
     """A frequency (Hz) far above everything the model knows."""
-    largest = np.abs(model.poles).max() / (2.0 * np.pi)
-    if loop is not None:
-        largest = max(largest, np.abs(loop.poles).max() / (2.0 * np.pi))
-    return 1e3 * max(float(largest), float(model.nu_hz[-1]))
+    poles = model.poles if loop is None else np.concatenate([model.poles, loop.poles])
+    return 1e3 * max(float(np.abs(poles).max(initial=0.0)) / (2.0 * np.pi), float(model.nu_hz[-1]))
 
 
 def _turns(values: np.ndarray) -> int:
@@ -356,38 +380,58 @@ def _det(matrices: np.ndarray) -> np.ndarray:
 # The decision ------------------------------------------------------------------------------------------------------
 
 
-def stable_probability(loop: ClosedLoop) -> float:
-    """Probability that every pole is in the left half-plane: that of the most doubtful one."""
-    return min(_left_probability(p.real, s.real) for p, s in zip(loop.poles, loop.std, strict=True))
+def stable_probability(model: RationalModel, grid: Grid, nu_hz: np.ndarray, stable: bool) -> float:
+    """Probability of being stable, given on which side of zero the locus of the fit passes.
+
+    The locus is 2 x 2 normal at every frequency up to the highest swept one; its smallest Mahalanobis distance from
+    zero is the number of standard errors the verdict keeps. For a lightly damped mode this is Re/std of its pole.
+    """
+    nu = nu_hz[(nu_hz >= 0.0) & (nu_hz <= model.nu_hz[-1])]
+    s = 2j * np.pi * nu
+    z = impedance_dq(grid, s)
+    loop = np.eye(2) + evaluate(model, s) @ z
+    adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    slope = gradient(model, s, np.swapaxes(z @ adjugate, 1, 2))
+    real, imag = slope.real @ model.covariance_root, slope.imag @ model.covariance_root
+    value = _det(loop)
+    rounding = 1e-18 * np.sum(np.abs(loop) ** 2, axis=(1, 2)) ** 2  # at nu = 0 the locus is real, and so is its spread
+    var_re, var_im = np.sum(real**2, axis=1) + rounding, np.sum(imag**2, axis=1) + rounding
+    across = np.sum(real * imag, axis=1)
+    squared = var_im * value.real**2 - 2.0 * across * value.real * value.imag + var_re * value.imag**2
+    squared = squared / (var_re * var_im - across**2)
+    distance = sqrt(max(float(squared.min()), 0.0))
+    return 0.5 * erfc((-distance if stable else distance) / sqrt(2.0))
 
 
-def _left_probability(real: float, std: float) -> float:
-    """Normal probability that a real part is negative."""
-    if not std > 0.0:
-        return float(real < 0.0)
-    return 0.5 * erfc(real / (sqrt(2.0) * std))
+def _believed_number(model: RationalModel, grid: Grid, winding: Winding) -> int:
+    """The shortest closing where the ends cannot matter, else that of the fit."""
+    return winding.number if _active_at_end(model, grid) else winding.number_shortest
 
 
 def _decide(
     model: RationalModel, grid: Grid, loop: ClosedLoop, winding: Winding, probability: float
 ) -> tuple[Decision, str]:
-    stable = winding.number == model.n_unstable
-    turns = f"winding number {winding.number}, open-loop unstable poles {model.n_unstable}"
-    if not winding.trusted or stable != (loop.n_unstable == 0):
-        return "undecided", f"the locus could not be traced to the end ({turns}, {loop.n_unstable} unstable poles)"
+    number = _believed_number(model, grid, winding)
+    stable = number == model.n_unstable
+    turns = f"winding number {number}, open-loop unstable poles {model.n_unstable}"
+    if not winding.trusted:
+        return "undecided", f"the locus could not be traced to the end ({turns})"
+    if _active_at_end(model, grid) and (stable or winding.number != winding.number_shortest):
+        return "undecided", (
+            f"the sweep ends at |f - f1| = {model.nu_hz[-1]:.4g} Hz, where the device is still active and the loop "
+            "gain above one: sweep to higher frequencies"
+        )
+    if stable != (loop.n_unstable == 0):
+        return "undecided", f"locus and poles disagree ({turns}, {loop.n_unstable} unstable closed-loop poles)"
     if 1.0 - DECIDED < probability < DECIDED:
         return "undecided", f"the loop is stable with a probability of {probability:.1%} only: measure more precisely"
-    unseen = [k for k in _decisive(loop, stable) if not is_swept(model, float(loop.f_hz[k]))]
-    if unseen and (stable or len(unseen) == len(_decisive(loop, stable))):
+    decisive = _decisive(loop, stable)
+    unseen = [k for k in decisive if not is_swept(model, float(loop.f_hz[k]))]
+    if unseen and (stable or len(unseen) == len(decisive)):
         nu = float(loop.f_hz[unseen[0]])
         return "undecided", (
             f"a mode at {model.f1_hz - nu:.4g}/{model.f1_hz + nu:.4g} Hz decides, and the table has no usable rows "
             "around it: sweep there"
-        )
-    if stable and _active_at_end(model, grid):
-        return "undecided", (
-            f"the sweep ends at |f - f1| = {model.nu_hz[-1]:.4g} Hz, where the device is still active and the loop "
-            "gain above one: sweep to higher frequencies"
         )
     return ("stable" if stable else "unstable"), turns
 
@@ -395,8 +439,8 @@ def _decide(
 def _decisive(loop: ClosedLoop, stable: bool) -> list[int]:
     """Modes the verdict hangs on: the unstable ones, or the resonance and everything lightly damped."""
     if not stable:
-        return [int(k) for k in np.flatnonzero(loop.poles.real > 0.0)]
-    light = np.flatnonzero(loop.damping < LIGHTLY_DAMPED).tolist()
+        return [int(k) for k in np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)]
+    light = np.flatnonzero((loop.damping < LIGHTLY_DAMPED) & ~loop.beyond).tolist()
     return sorted({*light, loop.critical} - {None})
 
 
@@ -418,7 +462,13 @@ def _active_at_end(model: RationalModel, grid: Grid) -> bool:
 
 
 def _extrapolation(model: RationalModel, winding: Winding) -> str:
+    ends = ""
+    if winding.number != winding.number_shortest:
+        ends = (
+            f" Its asymptotes would make the winding number {winding.number} instead of {winding.number_shortest}: "
+            "they are not believed where the device is passive or the loop gain below one at the band's end."
+        )
     return (
         f"Swept: |f - f1| from {model.nu_hz[0]:.3g} to {model.nu_hz[-1]:.4g} Hz. Outside, the answer rests on the fit: "
-        f"the locus turns {winding.inside_deg:+.0f} degrees below and {winding.beyond_deg:+.0f} degrees above."
+        f"the locus turns {winding.inside_deg:+.0f} degrees below and {winding.beyond_deg:+.0f} degrees above." + ends
     )

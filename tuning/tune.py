@@ -93,7 +93,7 @@ def _judged(
 ) -> PointTuning:
     stability = judge(model, grid)
     loop = stability.closed_loop
-    edge = critical_scale(model, grid, loop)
+    edge = critical_scale(model, grid)
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
     k, predicted = _gain(model, grid, stability, margin, None if part is None else part.f_hz)
     scr = None
