@@ -1,0 +1,294 @@
+"""Bode plot of a table's admittance: magnitude and phase of the four elements, as a report wants it.
+
+Panels stand as the elements stand in the matrix. matplotlib is imported when a figure is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..identify.response import FrequencyResponse
+from ..identify.table import TableError, atomic_file, iter_responses, read_metadata, std_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SUFFIXES = (".png", ".svg", ".pdf")
+MAX_OVERLAID = 6
+
+_TITLES = ("$Y_{pp}$", "$Y_{pn}$", "$Y_{np}$", "$Y_{nn}$")
+_MEANINGS = (
+    r"$I(f)$ per $V(f)$",
+    r"$I(f)$ per conj $V(2f_1{-}f)$",
+    r"conj $I(2f_1{-}f)$ per $V(f)$",
+    r"conj $I(2f_1{-}f)$ per conj $V(2f_1{-}f)$",
+)
+# Dark to light, so that a grey copy still tells them apart, and by dashes besides.
+_COLOURS = ("#000000", "#8c2d04", "#08519c", "#238b45", "#e6750a", "#7b9fd4")
+_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 1)))
+_DOUBTFUL: dict[str, Any] = {"linestyle": "none", "color": "#cb181d", "marker": "x", "markersize": 5}
+_NOTHING: dict[str, Any] = {"linestyle": "none", "color": "#cb181d", "marker": "|", "markersize": 6}
+_RC: dict[Any, Any] = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 9.0,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "svg.hashsalt": "seqsweep",
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+}
+
+
+class _Curve(NamedTuple):
+    label: str
+    response: FrequencyResponse
+    colour: str
+    dashes: Any
+
+
+def bode(
+    table: str | Path | FrequencyResponse | Sequence[FrequencyResponse], path: str | Path, op_id: str | None = None
+) -> tuple[str, ...]:
+    """Draw magnitude and phase of Ypp, Ypn, Ynp and Ynn over f, to a file.
+
+    Parameters
+    ----------
+    table : path, FrequencyResponse or several of them
+        A table's file, or responses in the pn frame.
+    path : path
+        PNG, SVG or PDF by its suffix; replaced atomically.
+    op_id : str, optional
+        The operating point to draw. Without it up to `MAX_OVERLAID` are laid over each other; of
+        more than that the first one is drawn.
+
+    Returns
+    -------
+    tuple of str
+        The operating points that were drawn.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another one, or a response is not in the pn frame; nothing is written.
+    TableError
+        If the file is not a readable table, or has no such operating point; nothing is written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        given = f"given {suffix!r}" if suffix else "given none"
+        raise ValueError(f"{path}: the suffix decides the format of the plot; {given}, needed: {', '.join(SUFFIXES)}")
+    meta, responses, total = _chosen(table, op_id)
+    import matplotlib
+
+    with matplotlib.rc_context(_RC), atomic_file(path) as file:
+        figure = bode_figure(responses, _title(meta, responses, total))
+        figure.savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+    return tuple(str(response.meta["op_id"]) for response in responses)
+
+
+_WITHOUT_TIME: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None, "Creator": None},
+    ".pdf": {"CreationDate": None, "Producer": None, "Creator": None},
+}
+
+
+def bode_figure(responses: Sequence[FrequencyResponse], title: str = "") -> Figure:
+    """The figure that `bode` writes."""
+    from matplotlib.figure import Figure
+
+    if wrong := next((response.frame for response in responses if response.frame != "pn"), None):
+        raise ValueError(f"the plot shows the pn frame, a response is in {wrong!r}: convert it first")
+    curves = [_Curve(_label(r), r, c, d) for r, c, d in zip(responses, _COLOURS, _DASHES, strict=False)]
+    figure = Figure(figsize=(7.16, 7.0), layout="constrained")
+    axes = figure.subplots(4, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]})
+    for element in range(4):
+        row, column = divmod(element, 2)
+        _draw_element(axes[2 * row, column], axes[2 * row + 1, column], curves, element)
+    for column in range(2):
+        _mirror_axis(axes[0, column], responses)
+        axes[3, column].set_xlabel("f (Hz)")
+        axes[3, column].xaxis.set_major_formatter(lambda f, _: f"{f:g}")
+    _same_scale([axes[row, column] for row in (0, 2) for column in (0, 1)], responses)
+    for row in range(4):
+        axes[row, 0].set_ylabel("Phase (deg)" if row % 2 else "Magnitude (S)")
+    figure.suptitle(title, fontsize=10)
+    _legend(figure, curves)
+    return figure
+
+
+# What is drawn
+
+
+def _chosen(
+    table: str | Path | FrequencyResponse | Sequence[FrequencyResponse], op_id: str | None
+) -> tuple[Mapping[str, Any], list[FrequencyResponse], int]:
+    """Metadata, the responses to draw, and how many there are; no more of a table is kept than is drawn."""
+    if isinstance(table, str | Path):
+        meta = read_metadata(table)
+        names = [str(point.get("op_id")) for point in meta.get("operating_points", [])]
+        responses: Iterator[FrequencyResponse] = iter_responses(table)
+    else:
+        given = [table] if isinstance(table, FrequencyResponse) else list(table)
+        meta, names, responses = {}, [str(response.meta["op_id"]) for response in given], iter(given)
+    if op_id is not None and op_id not in names:
+        known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
+        raise TableError(f"no operating point {op_id!r} to draw; there are {known}")
+    if op_id is not None:
+        responses = (response for response in responses if response.meta["op_id"] == op_id)
+    wanted = 1 if op_id is not None or len(names) > MAX_OVERLAID else len(names)
+    return meta, list(islice(responses, wanted)), len(names)
+
+
+def _title(meta: Mapping[str, Any], responses: Sequence[FrequencyResponse], total: int) -> str:
+    plant = meta.get("plant")
+    device = [str(plant["id"])] if isinstance(plant, Mapping) and "id" in plant else []
+    if len(responses) == 1:
+        of = f" ({total} in the table)" if total > 1 else ""
+        return _escaped(", ".join([*device, _label(responses[0])]) + of)
+    return _escaped(", ".join([*device, f"{len(responses)} operating points"]))
+
+
+def _label(response: FrequencyResponse) -> str:
+    power, voltage = response.meta.get("active_power_mw"), response.meta.get("terminal_voltage_pu")
+    values = [f"{value:.4g} {unit}" for value, unit in ((power, "MW"), (voltage, "pu")) if value is not None]
+    name = str(response.meta["op_id"])
+    return f"{name}: {', '.join(values)}" if values else name
+
+
+def _escaped(text: str) -> str:
+    """A name may hold a dollar sign; it does not start mathematics."""
+    return text.replace("$", r"\$")
+
+
+def _draw_element(magnitude: Axes, phase: Axes, curves: Sequence[_Curve], element: int) -> None:
+    magnitude.set_xscale("log")
+    magnitude.set_yscale("log")
+    for curve in curves:
+        _draw_curve(magnitude, phase, curve, element, dotted=len(curves) == 1 and len(curve.response) <= 200)
+    magnitude.set_title(f"{_TITLES[element]}: {_MEANINGS[element]}", fontsize=9)
+    phase.set_ylim(-190.0, 190.0)
+    phase.set_yticks([-180, -90, 0, 90, 180])
+    for axes in (magnitude, phase):
+        axes.grid(True, which="major", linewidth=0.4, color="0.8")
+        axes.grid(True, which="minor", linewidth=0.25, color="0.92")
+        axes.tick_params(which="both", top=False, right=True)
+        axes.set_axisbelow(True)
+        _mark_fundamental(axes, curves, named=axes is magnitude)
+
+
+def _draw_curve(magnitude: Axes, phase: Axes, curve: _Curve, element: int, dotted: bool) -> None:
+    response = curve.response
+    f = np.asarray(response.f_hz)
+    y = np.asarray(response.y).reshape(-1, 4)[:, element]
+    std = std_of(np.asarray(response.covariance))[:, element]
+    good = np.where(response.ok, y, complex(np.nan, np.nan))
+    size, angle = np.abs(good), np.degrees(np.angle(good))
+    spread = np.degrees(np.arcsin(np.minimum(1.0, std / size)))
+    line: dict[str, Any] = {"color": curve.colour, "linestyle": curve.dashes}
+    magnitude.plot(f, size, **line)
+    phase.plot(*_without_streaks(f, angle), **line)
+    if dotted:
+        dots: dict[str, Any] = {"color": curve.colour, "linestyle": "none", "marker": ".", "markersize": 2.5}
+        magnitude.plot(f, size, **dots)
+        phase.plot(f, angle, **dots)
+    low = np.maximum(size - std, 1e-6 * size)
+    magnitude.fill_between(f, low, size + std, color=curve.colour, alpha=0.22, linewidth=0.0)
+    phase.errorbar(f, angle, yerr=spread, fmt="none", ecolor=curve.colour, elinewidth=0.6, alpha=0.5)
+    _draw_not_ok(magnitude, phase, response, y)
+
+
+def _draw_not_ok(magnitude: Axes, phase: Axes, response: FrequencyResponse, y: np.ndarray) -> None:
+    """Crosses where a value is there but not ok, ticks on the frequency axis where there is none."""
+    f = np.asarray(response.f_hz)
+    doubtful = ~response.ok & np.isfinite(y)
+    nothing = ~response.ok & ~np.isfinite(y)
+    magnitude.plot(f[doubtful], np.abs(y[doubtful]), **_DOUBTFUL)
+    phase.plot(f[doubtful], np.degrees(np.angle(y[doubtful])), **_DOUBTFUL)
+    for axes in (magnitude, phase):
+        floor = np.full(nothing.sum(), 0.03)
+        axes.plot(f[nothing], floor, transform=axes.get_xaxis_transform(), **_NOTHING)
+
+
+def _same_scale(magnitudes: Sequence[Axes], responses: Sequence[FrequencyResponse]) -> None:
+    """One range for all four elements, so that coupling shows at a glance; values decide it, not bands."""
+    sizes = np.concatenate([np.abs(np.asarray(response.y)).ravel() for response in responses])
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    if len(sizes):
+        for axes in magnitudes:
+            axes.set_ylim(sizes.min() / 2.0, sizes.max() * 2.0)
+
+
+def _without_streaks(f: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where a phase within +-180 degrees crosses an end: run up to it, leave a gap, come in from the other."""
+    jumps = np.flatnonzero(np.abs(np.diff(angle)) > 180.0)
+    end = np.copysign(180.0, angle[jumps])
+    share = (end - angle[jumps]) / (angle[jumps + 1] - angle[jumps] + 2.0 * end)
+    at = f[jumps] * (f[jumps + 1] / f[jumps]) ** share
+    places = np.repeat(jumps + 1, 3)
+    gap = np.column_stack([end, np.full_like(end, np.nan), -end])
+    return np.insert(f, places, np.repeat(at, 3)), np.insert(angle, places, gap.ravel())
+
+
+# What helps to read it
+
+
+def _mark_fundamental(axes: Axes, curves: Sequence[_Curve], named: bool) -> None:
+    f1_hz = curves[0].response.f1_hz
+    for f_hz, name in ((f1_hz, "$f_1$"), (2.0 * f1_hz, "$2f_1$")):
+        axes.axvline(f_hz, color="0.35", linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
+        if named:
+            axes.annotate(
+                name,
+                (f_hz, 0.08),
+                xycoords=("data", "axes fraction"),
+                xytext=(2, 0),
+                textcoords="offset points",
+                fontsize=8,
+                color="0.35",
+            )
+
+
+def _mirror_axis(axes: Axes, responses: Sequence[FrequencyResponse]) -> None:
+    """Name, above some frequencies f, the signed frequency 2 f1 - f of the second component."""
+    from matplotlib.ticker import NullLocator
+
+    f1_hz = responses[0].f1_hz
+    low = min(float(response.f_hz[0]) for response in responses)
+    high = max(float(response.f_hz[-1]) for response in responses)
+    decades = 10.0 ** np.arange(np.ceil(np.log10(low) - 1e-9), np.floor(np.log10(high) + 1e-9) + 1)
+    ticks = sorted(
+        {*decades.tolist(), f1_hz, 2.0 * f1_hz} & {f for f in (*decades, f1_hz, 2 * f1_hz) if low <= f <= high}
+    )
+    above = axes.secondary_xaxis("top")
+    above.set_xticks(ticks, [f"{2.0 * f1_hz - f:g}".replace("-", "\N{MINUS SIGN}") for f in ticks], fontsize=8)
+    above.xaxis.set_minor_locator(NullLocator())
+    above.set_xlabel("mirror $2f_1 - f$ (Hz)", fontsize=8)
+
+
+def _legend(figure: Figure, curves: Sequence[_Curve]) -> None:
+    """One legend for all panels, holding only what is there to be seen."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = []
+    if len(curves) > 1:
+        handles += [Line2D([], [], color=c.colour, linestyle=c.dashes, label=_escaped(c.label)) for c in curves]
+    if any(np.isfinite(np.asarray(c.response.covariance)).any() for c in curves):
+        handles.append(Patch(color=curves[0].colour, alpha=0.22, linewidth=0, label="one standard deviation"))
+    seen = [np.isfinite(np.asarray(c.response.y)[~c.response.ok]).all(axis=(1, 2)) for c in curves]
+    if any(finite.any() for finite in seen):
+        handles.append(Line2D([], [], label="not ok", **_DOUBTFUL))
+    if any((~finite).any() for finite in seen):
+        handles.append(Line2D([], [], label="not ok, no value", **_NOTHING))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8, handlelength=3.2)
