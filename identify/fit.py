@@ -285,7 +285,7 @@ def _reductions(problem: _Problem, trial: _Trial) -> list[tuple[np.ndarray, int]
     found = [(np.delete(trial.poles, k), trial.tail) for k in range(n)]
     if trial.tail > 0 and n > 0:
         found.append((trial.poles, trial.tail - 1))
-    far = np.flatnonzero(_is_far(problem, trial.poles)) if trial.tail == 1 else []
+    far = np.flatnonzero(_is_far(problem, trial.poles) & (trial.tail == 1))
     return found + [(np.delete(trial.poles, k), 2) for k in far]
 
 
@@ -374,7 +374,8 @@ def _relocate(problem: _Problem, poles: np.ndarray, tail: int) -> np.ndarray | N
         np.concatenate([np.broadcast_to(phi, (_ELEMENTS, *phi.shape)), -problem.y[:, :, None] * sigma], axis=2)
         * problem.weight[:, :, None]
     )
-    upper = np.linalg.qr(_stack(block), mode="r")[:, phi.shape[1] :, phi.shape[1] :]
+    factor = np.asarray(np.linalg.qr(_stack(block), mode="r"))
+    upper = factor[:, phi.shape[1] :, phi.shape[1] :]
     scale = np.sqrt(np.sum(np.abs(problem.weight * problem.y) ** 2)) / len(problem.s)
     rows = np.concatenate([upper.reshape(-1, m + 1), scale * sigma.real.sum(axis=0)[None]])
     norm = np.linalg.norm(rows, axis=0)
@@ -653,7 +654,8 @@ def _with_sign_notes(model: RationalModel) -> RationalModel:
     noted = []
     for pole, std in zip(model.poles, model.pole_std, strict=True):
         text = f"{pole.real:+.3g} +- {std.real:.2g} rad/s, {abs(pole.imag) / (2.0 * np.pi):.3g} Hz (dq)"
-        is_open = abs(pole.real) < min(2.0 * std.real, _LIGHT * abs(pole))
+        unswept = abs(pole) < 2.0 * np.pi * model.nu_hz[0]
+        is_open = abs(pole.real) < min(2.0 * std.real, _LIGHT * abs(pole)) or (pole.real > 0.0 and unswept)
         if pole.imag >= 0.0 and is_open:
             noted.append(f"the half-plane of the device's own pole at {text} is not decided by the data")
         elif pole.imag >= 0.0 and pole.real > 0.0:

@@ -39,7 +39,7 @@ def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None
     title = f"{point.op_id}: {point.verdict} on {result.grid.r_ohm:.4g} + j{result.grid.x_ohm:.4g} $\\Omega$"
     pair = stability.closed_loop.resonance_hz
     figure.suptitle(title if pair is None else f"{title}, resonance {pair[0]:.2f}/{pair[1]:.2f} Hz")
-    left, right = figure.subfigures(1, 2, width_ratios=[1.25, 1.0])
+    left, right = np.ravel(np.asarray(figure.subfigures(1, 2, width_ratios=[1.25, 1.0])))
     _draw_bode(left.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2, 3, 2]}), point, result.grid)
     upper, lower = right.subplots(2, 1)
     _draw_locus(upper, point)

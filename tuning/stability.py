@@ -147,13 +147,13 @@ def judge(model: RationalModel, grid: Grid) -> Stability:
     winding = wind(model, grid, loop)
     crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
     number = _believed_number(model, grid, winding)
-    probability = stable_probability(model, grid, winding.nu_hz, number == model.n_unstable)
-    verdict, reason = _decide(model, grid, loop, winding, probability)
+    doubtful = doubt(model, grid, loop, winding.nu_hz, number == model.n_unstable)
+    verdict, reason = _decide(model, grid, loop, winding, doubtful)
     bode_stable = all(c.m >= 1.0 for c in crossings)
     return Stability(
         verdict=verdict,
         reason=reason,
-        probability=probability,
+        probability=doubtful.probability,
         winding=winding,
         n_open_loop_unstable=model.n_unstable,
         closed_loop=loop,
@@ -380,14 +380,38 @@ def _det(matrices: np.ndarray) -> np.ndarray:
 # The decision ------------------------------------------------------------------------------------------------------
 
 
-def stable_probability(model: RationalModel, grid: Grid, nu_hz: np.ndarray, stable: bool) -> float:
-    """Probability of being stable, given on which side of zero the locus of the fit passes.
+class Doubt(NamedTuple):
+    """Probability of being stable, and where in the dq frame (Hz) the doubt comes from."""
 
-    The locus is 2 x 2 normal at every frequency up to the highest swept one; its smallest Mahalanobis distance from
-    zero is the number of standard errors the verdict keeps. For a lightly damped mode this is Re/std of its pole.
+    probability: float
+    nu_hz: float
+
+
+def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray, stable: bool) -> Doubt:
+    """Probability of being stable, given that the locus of the fit says ``stable``.
+
+    A stable loop is in doubt wherever its locus may pass zero on the other side: the least distance counts. An
+    unstable one becomes stable only if the locus is wrong at every unstable mode: the surest mode counts.
     """
     nu = nu_hz[(nu_hz >= 0.0) & (nu_hz <= model.nu_hz[-1])]
-    s = 2j * np.pi * nu
+    distance = locus_distance(model, grid, nu)
+    if stable:
+        nearest = int(np.argmin(distance))
+        return Doubt(_normal(distance[nearest]), float(nu[nearest]))
+    unstable = loop.poles[(loop.poles.real > 0.0) & ~loop.beyond]
+    about = [np.abs(2.0 * np.pi * nu - p.imag) <= 3.0 * p.real for p in unstable]
+    nearest_ones = [int(np.argmin(np.where(a, distance, np.inf))) for a in about if np.any(a)]
+    surest = max(nearest_ones, key=lambda k: distance[k], default=int(np.argmin(distance)))
+    return Doubt(_normal(-distance[surest]), float(nu[surest]))
+
+
+def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:
+    """How many standard errors (n,) the locus keeps from zero at frequencies |f - f1| (Hz): Mahalanobis distance.
+
+    By the delta method: det M moves by tr(adj(M) dM). Near a lightly damped mode it is Re/std of its pole, but unlike
+    that it stays well defined where poles crowd and only their combinations are known.
+    """
+    s = 2j * np.pi * nu_hz
     z = impedance_dq(grid, s)
     loop = np.eye(2) + evaluate(model, s) @ z
     adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
@@ -398,9 +422,12 @@ def stable_probability(model: RationalModel, grid: Grid, nu_hz: np.ndarray, stab
     var_re, var_im = np.sum(real**2, axis=1) + rounding, np.sum(imag**2, axis=1) + rounding
     across = np.sum(real * imag, axis=1)
     squared = var_im * value.real**2 - 2.0 * across * value.real * value.imag + var_re * value.imag**2
-    squared = squared / (var_re * var_im - across**2)
-    distance = sqrt(max(float(squared.min()), 0.0))
-    return 0.5 * erfc((-distance if stable else distance) / sqrt(2.0))
+    return np.sqrt(np.maximum(squared, 0.0) / (var_re * var_im - across**2))
+
+
+def _normal(x: float) -> float:
+    """Standard normal distribution function."""
+    return 0.5 * erfc(-x / sqrt(2.0))
 
 
 def _believed_number(model: RationalModel, grid: Grid, winding: Winding) -> int:
@@ -409,7 +436,7 @@ def _believed_number(model: RationalModel, grid: Grid, winding: Winding) -> int:
 
 
 def _decide(
-    model: RationalModel, grid: Grid, loop: ClosedLoop, winding: Winding, probability: float
+    model: RationalModel, grid: Grid, loop: ClosedLoop, winding: Winding, doubtful: Doubt
 ) -> tuple[Decision, str]:
     number = _believed_number(model, grid, winding)
     stable = number == model.n_unstable
@@ -423,17 +450,26 @@ def _decide(
         )
     if stable != (loop.n_unstable == 0):
         return "undecided", f"locus and poles disagree ({turns}, {loop.n_unstable} unstable closed-loop poles)"
-    if 1.0 - DECIDED < probability < DECIDED:
-        return "undecided", f"the loop is stable with a probability of {probability:.1%} only: measure more precisely"
+    if 1.0 - DECIDED < doubtful.probability < DECIDED:
+        return "undecided", (
+            f"the loop is stable with a probability of {doubtful.probability:.1%}; what is missing are more or better "
+            f"points near {_place(model, doubtful.nu_hz)}"
+        )
     decisive = _decisive(loop, stable)
     unseen = [k for k in decisive if not is_swept(model, float(loop.f_hz[k]))]
     if unseen and (stable or len(unseen) == len(decisive)):
-        nu = float(loop.f_hz[unseen[0]])
         return "undecided", (
-            f"a mode at {model.f1_hz - nu:.4g}/{model.f1_hz + nu:.4g} Hz decides, and the table has no usable rows "
-            "around it: sweep there"
+            f"a mode at {_place(model, float(loop.f_hz[unseen[0]]))} decides, and the table has no usable rows around "
+            "it: sweep there"
         )
     return ("stable" if stable else "unstable"), turns
+
+
+def _place(model: RationalModel, nu_hz: float) -> str:
+    """A frequency of the dq frame as the pair seen in phase quantities."""
+    if nu_hz < model.nu_hz[0]:
+        return f"f1 (|f - f1| below {model.nu_hz[0]:.2g} Hz)"
+    return f"{model.f1_hz - nu_hz:.4g}/{model.f1_hz + nu_hz:.4g} Hz"
 
 
 def _decisive(loop: ClosedLoop, stable: bool) -> list[int]:
@@ -441,7 +477,7 @@ def _decisive(loop: ClosedLoop, stable: bool) -> list[int]:
     if not stable:
         return [int(k) for k in np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)]
     light = np.flatnonzero((loop.damping < LIGHTLY_DAMPED) & ~loop.beyond).tolist()
-    return sorted({*light, loop.critical} - {None})
+    return sorted({*light, *([] if loop.critical is None else [loop.critical])})
 
 
 def is_swept(model: RationalModel, nu_hz: float) -> bool:
