@@ -120,8 +120,9 @@ def siso(f_hz: np.ndarray, y_pn: np.ndarray, grid: Grid) -> Siso:
     """
     z1, z2 = impedance_pn(grid, f_hz)
     coupling = y_pn[:, 0, 1] * y_pn[:, 1, 0]
-    y1 = y_pn[:, 0, 0] - coupling * z2 / (1.0 + y_pn[:, 1, 1] * z2)
-    y2 = y_pn[:, 1, 1] - coupling * z1 / (1.0 + y_pn[:, 0, 0] * z1)
+    with np.errstate(invalid="ignore"):  # rows that failed are NaN
+        y1 = y_pn[:, 0, 0] - coupling * z2 / (1.0 + y_pn[:, 1, 1] * z2)
+        y2 = y_pn[:, 1, 1] - coupling * z1 / (1.0 + y_pn[:, 0, 0] * z1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return Siso(np.asarray(f_hz, dtype=float), y1, y2, 1.0 / z1, 1.0 / z2)
 
