@@ -14,7 +14,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from . import dpmsg_equilibrium as equilibrium
+from . import dpmsg_equilibrium as stationary
 from .dpmsg_parameters import TABLE_I, TurbineParameters
 from .protocol import (
     Injection,
@@ -81,6 +81,7 @@ class ReferenceTurbine:
     """
 
     id = "dpmsg-v1"
+    releases_gil = True
     power_meaning = "P_machine = Re(v_conv conj(i_L)): power of the lossless converters, not of the PCC"
 
     def __init__(self, dt_s: float = 50e-6, **parameters: float):
@@ -119,12 +120,12 @@ class ReferenceTurbine:
         p = self.parameters
         power_w, terminal_voltage_v = operating_point.active_power_w, self._terminal_voltage(operating_point, source)
         self._check_range(power_w, terminal_voltage_v)
-        machine = equilibrium.machine_equilibrium(p, power_w)
-        grid_side = equilibrium.grid_side_equilibrium(p, power_w, terminal_voltage_v)
+        machine = stationary.machine_equilibrium(p, power_w)
+        grid_side = stationary.grid_side_equilibrium(p, power_w, terminal_voltage_v)
         self._check_limits(grid_side)
         v_source = grid_side.v_pcc
         if source.kind == "thevenin":
-            v_source = equilibrium.thevenin_voltage(p, power_w, terminal_voltage_v, source.r_ohm, source.l_h)
+            v_source = stationary.thevenin_voltage(p, power_w, terminal_voltage_v, source.r_ohm, source.l_h)
         turn = cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
         i_l, v_c, i_g = grid_side.i_l * turn, grid_side.v_c * turn, grid_side.i_g * turn
         values = np.array(
@@ -160,8 +161,8 @@ class ReferenceTurbine:
         worst = self.linearise(state)[0]
         if worst.real > 0.0:
             raise NotSettled(
-                f"the equilibrium is unstable: {worst.real:+.3g} rad/s at {abs(worst.imag) / (2 * pi):.3g} Hz in the dq "
-                "frame; use an ideal source to sweep it, or a stronger grid",
+                f"the equilibrium is unstable: {worst.real:+.3g} rad/s at {abs(worst.imag) / (2 * pi):.3g} Hz in the "
+                "dq frame; use an ideal source to sweep it, or a stronger grid",
                 status="diverged",
             )
         if not residual <= _RESIDUAL_LIMIT:
@@ -181,7 +182,7 @@ class ReferenceTurbine:
         if source.kind == "ideal":
             return source.voltage_v
         try:
-            return equilibrium.terminal_voltage_for_source(
+            return stationary.terminal_voltage_for_source(
                 self.parameters, operating_point.active_power_w, source.voltage_v, source.r_ohm, source.l_h
             )
         except ValueError as error:
@@ -200,7 +201,7 @@ class ReferenceTurbine:
                     f"{low * unit:g} to {high * unit:g} {symbol}"
                 )
 
-    def _check_limits(self, grid_side: equilibrium.GridSideEquilibrium) -> None:
+    def _check_limits(self, grid_side: stationary.GridSideEquilibrium) -> None:
         p = self.parameters
         if abs(grid_side.v_conv) > p.v_dc_ref_v / sqrt(2.0):
             raise NotSettled(
@@ -253,7 +254,7 @@ class ReferenceTurbine:
             of_kind = [m for m, job in enumerate(jobs) if job.state.source.kind == kind]
             for first in range(0, len(of_kind), LANES):
                 members = of_kind[first : first + LANES]
-                n_tones = max(len(jobs[m].injection.tones) if jobs[m].injection else 0 for m in members)
+                n_tones = max(_n_tones(jobs[m].injection) for m in members)
                 slots = self._fill([jobs[m] for m in members], [windows[m] for m in members], block_steps, n_tones)
                 yield slots.ravel(), members, kind == "ideal", n_tones
 
@@ -326,6 +327,10 @@ class ReferenceTurbine:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+
+
+def _n_tones(injection: Injection | None) -> int:
+    return len(injection.tones) if injection else 0
 
 
 def _phasor(cycles: float) -> complex:

@@ -1,0 +1,46 @@
+"""The 2x2 solve: two independent experiments, the true mirror, the angle of the fundamental."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def solve_pn(v: np.ndarray, i: np.ndarray, phi1: float) -> tuple[np.ndarray, float]:
+    """Sequence admittance at one frequency from two independent experiments.
+
+    Parameters
+    ----------
+    v, i : (2, 2) complex
+        Phasors of the perturbation alone (V, A; load direction): row = experiment, column = signed
+        frequency f, 2 f1 - f.
+    phi1 : float
+        Angle of the fundamental voltage's space vector at time zero (rad).
+
+    Returns
+    -------
+    y : (2, 2) complex
+        Admittance in S; rows and columns (p at f, conjugate of n at 2 f1 - f).
+    cond_v : float
+        Condition number of the voltage matrix, each experiment scaled to unit length.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the experiments are exactly dependent.
+
+    Notes
+    -----
+    ``[I(f), conj I(2 f1 - f)] = Y [V(f), conj V(2 f1 - f)]``, paper eq. (1); the second component
+    is turned by ``exp(2j phi1)``, which refers it to the fundamental.
+    """
+    v_pn, i_pn = _components(v, phi1), _components(i, phi1)
+    scale = np.linalg.norm(v_pn, axis=0)
+    if not np.all(scale > 0.0):
+        raise np.linalg.LinAlgError("an experiment shows no voltage at its line")
+    y = np.linalg.solve((v_pn / scale).T, (i_pn / scale).T).T
+    return y, float(np.linalg.cond(v_pn / scale))
+
+
+def _components(x: np.ndarray, phi1: float) -> np.ndarray:
+    """Column = experiment, row = component of the pn frame."""
+    return np.array([x[:, 0], np.conj(x[:, 1]) * np.exp(2j * phi1)])
