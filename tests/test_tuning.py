@@ -1,0 +1,402 @@
+"""From a table to the decision: results, gain, JSON, the terminal, figures, and tables that are not in order."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from seqsweep.identify.fit import evaluate_pn, fit_response
+from seqsweep.identify.response import FrequencyResponse
+from seqsweep.identify.table import TableError, read_table, write_table
+from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
+from seqsweep.tuning.operating import grid_warnings, source_voltage_v
+from seqsweep.tuning.plot import bode_figure, locus_figure, plot_result, pole_figure
+from seqsweep.tuning.result import TuningResult, confirmed, format_table, schema, to_json, write_json
+from seqsweep.tuning.siso import Grid, siso
+from seqsweep.tuning.tune import tune, tune_point
+
+from . import oracle
+from .test_fit import F1_HZ, F_HZ, U_V, circuit, turbine
+
+GRID = Grid(0.0168, 0.35, F1_HZ)
+"""1.4 Z of Table I."""
+
+BASES = {"rated_voltage_v": U_V, "rated_power_va": 1.632e6}
+
+
+def on_grid(power_w: float, noise: float = 0.0) -> FrequencyResponse:
+    """The table's row block at the voltage that belongs to the grid, the source at 1 pu."""
+    return turbine(power_w, oracle.terminal_voltage(power_w, GRID.r_ohm, GRID.l_h, U_V), noise=noise)
+
+
+@pytest.fixture(scope="module")
+def result() -> TuningResult:
+    return tune([on_grid(p) for p in (0.3e6, 0.65e6, 0.5e6)], GRID, margin=1.4)
+
+
+# The decision --------------------------------------------------------------------------------------------------------
+
+
+def test_every_operating_point_is_judged_in_the_table_s_order(result: TuningResult) -> None:
+    assert [p.op_id for p in result.points] == ["p300", "p650", "p500"]
+    assert [p.verdict for p in result.points] == ["stable", "unstable", "stable"]
+    assert [p.warnings for p in result.points] == [(), (), ()]
+
+
+def test_worst_operating_point_is_searched_not_assumed(result: TuningResult) -> None:
+    """Here it is the largest output; among stable points it is the one with the smallest m."""
+    assert result.worst.op_id == "p650"
+    rest = replace(result, points=tuple(p for p in result.points if p.verdict == "stable"))
+    assert rest.worst.op_id == "p500"
+
+
+def test_gain_is_the_paper_s_formula_at_the_critical_crossing(result: TuningResult) -> None:
+    """The notation page: m0 = 0.90 at 0.65 MW, 1.4 Z, and k = 0.357 for m = 1.4."""
+    point = result.point("p650")
+    assert point.margin_m == pytest.approx(0.900, abs=1e-3)
+    assert point.k == pytest.approx(0.357, abs=1e-3)
+    assert point.f_r_hz == pytest.approx(76.26, abs=0.01)
+    assert point.margin_m_with_k is None
+    assert point.reached is None
+
+
+def test_resonance_pair_is_that_of_the_linearisation(result: TuningResult) -> None:
+    point = result.point("p650")
+    exact = oracle.resonance_pole(
+        oracle.closed_loop_poles(0.65e6, GRID.r_ohm, GRID.l_h, source_voltage_v=U_V),
+    )
+    assert point.resonance_hz is not None
+    assert point.resonance_hz[1] - F1_HZ == pytest.approx(exact.imag / 2.0 / np.pi, abs=1e-5)
+    assert sum(point.resonance_hz) == pytest.approx(2.0 * F1_HZ)
+
+
+def test_critical_scr_needs_the_rating_and_gets_it_from_the_table(tmp_path: Path) -> None:
+    assert tune_point(on_grid(0.5e6), GRID).critical_scr is None
+    point = tune(read_table(table_file(tmp_path)), GRID).points[0]
+    assert point.critical_scale is not None
+    assert point.critical_scr == pytest.approx(
+        U_V**2 / (1.632e6 * abs(complex(GRID.r_ohm, GRID.x_ohm)) * point.critical_scale)
+    )
+
+
+def test_only_the_chosen_operating_points_are_tuned() -> None:
+    responses = [on_grid(p) for p in (0.3e6, 0.5e6)]
+    assert [p.op_id for p in tune(responses, GRID, op_ids=["p500"]).points] == ["p500"]
+    with pytest.raises(ValueError, match="no operating point 'p900' in the table; it has p300, p500"):
+        tune(responses, GRID, op_ids=["p900"])
+
+
+def test_instability_the_formula_does_not_see_is_warned_about() -> None:
+    point = tune_point(circuit(lambda s: 1.0 / (-0.05 + s * 1e-3)), GRID)
+    assert point.verdict == "unstable"
+    assert any("the formula for k does not see it" in w for w in point.warnings)
+
+
+# Tables that are not in order ----------------------------------------------------------------------------------------
+
+
+def test_failed_rows_are_counted_and_left_out() -> None:
+    failed = np.arange(len(F_HZ)) % 10 == 0
+    y = np.where(failed[:, None, None], np.nan, on_grid(0.65e6).y)
+    status = np.where(failed, "failed", "ok")
+    point = tune_point(FrequencyResponse(F_HZ, y, F1_HZ, status=status, meta={"op_id": "a"}), GRID)
+    assert point.verdict == "unstable"
+    assert point.warnings[0] == "10 of 100 rows are not ok and were left out (failed 10)"
+
+
+def test_operating_point_without_usable_rows_is_undecided_not_guessed() -> None:
+    status = np.full(len(F_HZ), "not_settled")
+    response = FrequencyResponse(F_HZ, np.full((100, 2, 2), np.nan), F1_HZ, status=status, meta={"op_id": "a"})
+    result = tune([response], GRID)
+    point = result.points[0]
+    assert (point.verdict, point.probability, point.k, point.margin_m) == ("undecided", None, None, None)
+    assert point.reason == "0 of 100 rows are usable, at least 8 are needed"
+    jsonschema.validate(to_json(result), schema())
+    assert "undecided, 0 of 100 rows are usable" in format_table(result)
+
+
+def test_table_that_no_rational_model_describes_is_undecided() -> None:
+    point = tune_point(turbine(noise=0.2), GRID)
+    assert point.verdict == "undecided"
+    assert "no rational model describes the table" in point.reason
+
+
+def test_two_fundamentals_are_refused() -> None:
+    other = FrequencyResponse(F_HZ, turbine().y, 60.0, meta={"op_id": "b"})
+    with pytest.raises(ValueError, match=r"holds 2 fundamentals \(50, 60 Hz\)"):
+        tune([turbine(), other], GRID)
+
+
+def test_wrong_calls_are_refused() -> None:
+    with pytest.raises(ValueError, match="no operating point"):
+        tune([], GRID)
+    with pytest.raises(ValueError, match="margin m is 0; it must be positive"):
+        tune([turbine()], GRID, margin=0.0)
+    with pytest.raises(ValueError, match="reads the pn frame"):
+        tune([FrequencyResponse(F_HZ, turbine().y, F1_HZ, frame="dq")], GRID)
+    with pytest.raises(ValueError, match="the table's fundamental is 50 Hz, the grid's 60 Hz"):
+        tune([turbine()], Grid(0.01, 0.2, 60.0))
+
+
+def table_file(folder: Path, drop: str | None = None) -> Path:
+    import pyarrow.parquet as pq
+
+    response = on_grid(0.65e6)
+    meta = {
+        "f1_hz": F1_HZ,
+        "bases": BASES,
+        "power_meaning": "machine",
+        "operating_points": [dict(response.meta)],
+        "configuration": {},
+        "plant": {"id": "dpmsg-v1"},
+    }
+    path = folder / "y.parquet"
+    write_table(path, [response], meta)
+    if drop is not None:
+        kept = pq.read_metadata(path).metadata[b"seqsweep"]
+        pq.write_table(pq.read_table(path).drop_columns([drop]).replace_schema_metadata({b"seqsweep": kept}), path)
+    return path
+
+
+def test_table_without_a_column_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(TableError, match="y_pn_re"):
+        tune(read_table(table_file(tmp_path, drop="y_pn_re")), GRID)
+
+
+def test_result_remembers_the_table_it_came_from(tmp_path: Path) -> None:
+    table = read_table(table_file(tmp_path))
+    provenance = to_json(tune(table, GRID))["provenance"]
+    assert provenance["table"]["sha256"] == table.meta["sha256"]
+    assert provenance["table"]["plant"] == {"id": "dpmsg-v1"}
+
+
+# Table and grid that do not belong together --------------------------------------------------------------------------
+
+
+def test_voltage_of_another_grid_is_warned_about_and_changes_nothing() -> None:
+    response = turbine(0.65e6, 720.0)
+    warned = tune_point(response, GRID, bases=BASES)
+    assert any("takes a source of about 1.1" in w for w in warned.warnings)
+    assert warned.verdict == tune_point(response, GRID).verdict
+
+
+def test_grid_of_the_sweep_is_compared_with_the_grid_of_the_tuning() -> None:
+    swept = {"grid": {"r_ohm": 0.012, "x_ohm": 0.25, "voltage_pu": 1.0, "scale": 1.4}}
+    assert grid_warnings(swept, BASES, GRID) == ()
+    (text,) = grid_warnings(swept, BASES, GRID.scaled(1.2 / 1.4))
+    assert "belongs to 0.0168 + j0.35 ohm, not to 0.0144 + j0.3 ohm" in text
+
+
+def test_unknown_operating_point_is_no_reason_to_warn() -> None:
+    assert grid_warnings({"active_power_mw": None, "terminal_voltage_pu": None}, BASES, GRID) == ()
+    assert grid_warnings({}, {}, GRID) == ()
+
+
+def test_source_voltage_is_that_of_the_phasor_diagram() -> None:
+    """Without the shunt's reactive power: 4 % more than the true 690 V."""
+    voltage = oracle.terminal_voltage(0.65e6, GRID.r_ohm, GRID.l_h, U_V)
+    assert source_voltage_v(0.65e6, voltage, GRID) == pytest.approx(U_V, rel=0.05)
+
+
+# The gain ------------------------------------------------------------------------------------------------------------
+
+
+def test_formula_is_clipped_at_zero() -> None:
+    assert gain_for_margin(0.7, 1.4) == pytest.approx(0.5)
+    assert gain_for_margin(2.0, 1.4) == 0.0
+    with pytest.raises(ValueError, match="must be positive"):
+        gain_for_margin(0.9, 0.0)
+
+
+def test_notch_is_zero_at_the_fundamental_and_one_elsewhere() -> None:
+    h = notch(np.array([-50.0, 23.0, 50.0, 77.0]), F1_HZ)
+    np.testing.assert_allclose(np.abs(h[[0, 2]]), 0.0, atol=1e-15)
+    np.testing.assert_allclose(h[[1, 3]], 1.0, atol=0.03)
+
+
+def test_reshaped_impedance_is_the_device_s_less_k_times_the_grid_s() -> None:
+    """Paper eq. 11 read as impedances: 1/Y_re = 1/Y - k Z H_NF, element by element where there is no coupling."""
+
+    def branch(f: np.ndarray) -> np.ndarray:
+        y = np.zeros((len(f), 2, 2), dtype=complex)
+        y[:, 0, 0] = 1.0 / (0.05 + 2j * np.pi * f * 1e-3)
+        y[:, 1, 1] = 1.0 / (0.05 + 2j * np.pi * (f - 100.0) * 1e-3)
+        return y
+
+    f, k, f_r = np.array([23.0, 77.0]), 0.5, 77.0
+    y_re = reshaped(branch, GRID, k, f_r)(f)
+    z_r = k * (GRID.r_ohm + 2j * np.pi * f_r * GRID.l_h)
+    np.testing.assert_allclose(1.0 / y_re[:, 0, 0], 1.0 / branch(f)[:, 0, 0] - z_r * notch(f, F1_HZ))
+    mirrored = np.conj(z_r * notch(100.0 - f, F1_HZ))
+    np.testing.assert_allclose(1.0 / y_re[:, 1, 1], 1.0 / branch(f)[:, 1, 1] - mirrored)
+
+
+def test_prediction_gains_at_most_k(result: TuningResult) -> None:
+    """1/Y_re = 1/Y - k Z gives m0 + k at best; the coupled device gives less, and the formula asks for more."""
+    point = result.point("p650")
+    assert point.k is not None
+    assert point.margin_m is not None
+    assert point.margin_m_predicted is not None
+    assert point.margin_m < point.margin_m_predicted < point.margin_m + point.k < 1.4
+
+
+def test_damping_without_gain_changes_nothing() -> None:
+    model = fit_response(turbine())
+    f = np.array([23.0, 77.0])
+    same = reshaped(lambda x: evaluate_pn(model, x), GRID, 0.0, 77.0)(f)
+    np.testing.assert_allclose(siso(f, same, GRID).y1, siso(f, evaluate_pn(model, f), GRID).y1)
+
+
+def re_swept(k: float) -> float:
+    """m of the reference turbine re-swept with damping, as on the notation page (0.65 MW, 1.4 Z), and beyond."""
+    return float(np.interp(k, [0.0, 0.357, 0.5, 0.9, 1.1, 2.0], [0.9, 1.0, 1.05, 1.2, 1.29, 1.6]))
+
+
+def test_search_finds_the_smallest_gain_that_holds() -> None:
+    search = search_gain(re_swept, 1.4, 0.357)
+    assert search.reached
+    assert 1.4 <= search.margin_m <= 1.4 * 1.006
+    assert len(search.trials) <= 8
+
+
+def test_search_reports_the_best_gain_where_the_margin_cannot_be_reached() -> None:
+    search = search_gain(lambda k: 1.2 - (k - 0.8) ** 2, 1.4, 0.3)
+    assert not search.reached
+    assert search.margin_m == max(m for _, m in search.trials)
+
+
+def test_search_stops_at_zero_where_no_damping_is_needed() -> None:
+    assert search_gain(lambda k: 2.0 + k, 1.4, 0.0).trials == ((0.0, 2.0),)
+    assert search_gain(lambda k: 2.0 + k, 1.4, 0.5).k == 0.0
+
+
+def test_search_survives_gains_that_cannot_be_measured() -> None:
+    search = search_gain(lambda k: re_swept(k) if k < 0.6 else float("nan"), 1.4, 0.357)
+    assert not search.reached
+    assert np.isfinite(search.margin_m)
+
+
+def test_confirmation_replaces_k_and_says_what_was_not_reached(result: TuningResult) -> None:
+    done = confirmed(result, "p650", search_gain(re_swept, 1.4, 0.357))
+    assert done.point("p650").reached is True
+    assert done.point("p650").margin_m_with_k == pytest.approx(1.4, rel=6e-3)
+    assert done.point("p300") == result.point("p300")
+    failed = confirmed(result, "p650", search_gain(lambda k: 0.9 + 0.1 * k, 1.4, 0.357))
+    assert failed.point("p650").reached is False
+    assert "m = 1.4 cannot be reached" in failed.point("p650").warnings[-1]
+    jsonschema.validate(to_json(failed), schema())
+
+
+# What is written -----------------------------------------------------------------------------------------------------
+
+
+def test_json_conforms_to_its_schema_and_has_the_promised_fields(result: TuningResult, tmp_path: Path) -> None:
+    path = tmp_path / "tuning.json"
+    write_json(result, path)
+    written = json.loads(path.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema())
+    jsonschema.validate(written, schema())
+    assert written["format"] == "seqsweep-tuning"
+    assert written["worst"] == "p650"
+    promised = {
+        *("op_id", "verdict", "probability", "winding", "margin_m", "resonance_hz"),
+        *("critical_scale", "poles", "k", "margin_m_with_k", "bode", "warnings"),
+    }
+    for point in written["operating_points"]:
+        assert promised <= set(point)
+        assert sum(pole["kind"] == "resonance" for pole in point["poles"]) == 1
+        assert sum(pole["kind"] == "slow" for pole in point["poles"]) == 1  # the DC link's
+
+
+def test_json_is_the_same_bytes_for_the_same_table(result: TuningResult) -> None:
+    again = tune([on_grid(p) for p in (0.3e6, 0.65e6, 0.5e6)], GRID, margin=1.4)
+    assert json.dumps(to_json(again)) == json.dumps(to_json(result))
+
+
+@pytest.mark.parametrize("width", [50, 60, 80, 100, 160])
+def test_table_fits_the_terminal(result: TuningResult, width: int) -> None:
+    text = format_table(result, width)
+    assert max(len(line) for line in text.splitlines()) <= width
+    for word in ("verdict", "unstable", "0.357", "worst operating point: p650"):
+        assert word in text
+
+
+def test_false_alarm_of_the_bode_criterion_is_told_in_the_terminal() -> None:
+    grid = Grid(0.0144, 0.3, F1_HZ)
+    voltage = oracle.terminal_voltage(0.65e6, grid.r_ohm, grid.l_h, U_V)
+    text = format_table(tune([turbine(0.65e6, voltage)], grid))
+    assert "The Bode criterion alarms on Y1 at 23.12 Hz (m = 0.33)" in " ".join(text.split())
+
+
+def test_unknown_operating_point_of_a_result_is_named(result: TuningResult) -> None:
+    with pytest.raises(ValueError, match="no operating point 'x' in the tuning result; it has p300, p650, p500"):
+        result.point("x")
+
+
+# Figures -------------------------------------------------------------------------------------------------------------
+
+
+def test_bode_figure_marks_every_crossing(result: TuningResult) -> None:
+    point = result.point("p650")
+    axes = bode_figure(point, GRID).axes
+    assert axes[-1].get_xlabel() == "Frequency (Hz)"
+    assert [a.get_ylabel() for a in axes[::2]] == ["Magnitude (S)"] * 2
+    assert point.stability is not None
+    marked = sum(len(line.get_xdata()) == 1 for a in axes for line in a.lines)
+    assert marked == len(point.stability.crossings)
+    assert any("75.69 Hz\nm = 0.90" in text.get_text() for a in axes for text in a.texts)
+
+
+def test_locus_and_pole_figures_have_labels_and_the_origin(result: TuningResult) -> None:
+    point = result.point("p650")
+    (locus,) = locus_figure(point).axes
+    (poles,) = pole_figure(point).axes
+    assert "winding -2" in locus.get_title()
+    assert poles.get_xlabel() == "Real part (rad/s)"
+    assert any("+9.57 rad/s" in text.get_text() for text in poles.texts)
+
+
+def test_page_of_figures_is_written(result: TuningResult, tmp_path: Path) -> None:
+    plot_result(result, tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 20_000
+
+
+def test_operating_point_without_a_fit_cannot_be_drawn(tmp_path: Path) -> None:
+    status = np.full(len(F_HZ), "failed")
+    result = tune([FrequencyResponse(F_HZ, turbine().y, F1_HZ, status=status, meta={"op_id": "a"})], GRID)
+    with pytest.raises(ValueError, match="'a' has no fit to draw: 0 of 100 rows are usable"):
+        plot_result(result, tmp_path / "a.png")
+
+
+# Speed ---------------------------------------------------------------------------------------------------------------
+
+
+def test_tuning_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, seqsweep.tuning.tune, seqsweep.tuning.plot, seqsweep.tuning.result\n"
+        "print(*{m.partition('.')[0] for m in sys.modules})"
+    )
+    loaded = set(
+        subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    )
+    assert not loaded & {"scipy", "matplotlib", "pandas", "pyarrow", "joblib", "numba"}
+
+
+@pytest.mark.evidence
+def test_thousand_operating_points_take_less_than_a_minute(capsys: pytest.CaptureFixture[str]) -> None:
+    responses = [on_grid(p, noise=1e-3) for p in np.linspace(0.05e6, 0.68e6, 1000)]
+    start = time.perf_counter()
+    result = tune(responses, GRID)
+    seconds = time.perf_counter() - start
+    with capsys.disabled():
+        print(f"\n1000 operating points of 100 frequencies: {seconds:.1f} s on one core")
+    assert len(result.points) == 1000
+    assert seconds < 60.0
