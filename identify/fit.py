@@ -5,10 +5,16 @@ points below f1 fall onto those above it: ``Ydq(-j nu) = conj Ydq(j nu)``. All f
 residues have full rank while fitting and are cut to rank one where the second direction is noise. The constant
 is there, and a term in s, only if the data ask for them.
 
-The order is the one with the lowest BIC, residuals below a noise floor counting no further. A pole stays only
-if the data pay for it: whatever can be removed and refitted at a lower BIC goes, whichever half-plane it is in.
-Poles in the right half-plane are otherwise kept: the device may be unstable by itself. Only outside the swept
-band, where the data may not tell -p from p, the stable mirror image is taken if it fits as well.
+The order is the one with the lowest BIC, residuals below a noise floor counting no further. Then what is
+spurious goes, in this order, each step with a refit of the rest:
+
+1. a pole that a single row asks for: with that row left out, the fit without the pole has the lower BIC;
+2. a pole whose removal lowers the BIC, whichever half-plane it is in;
+3. poles in the right half-plane without which the misfit stays below 1e-4 of Y;
+4. outside the swept band, where the data may not tell -p from p, a pole in the right half-plane gives way to its
+   stable mirror image if that fits as well.
+
+All other poles in the right half-plane stay: the device may be unstable by itself. What was done is in the notes.
 """
 
 from __future__ import annotations
@@ -29,6 +35,8 @@ MIN_POINTS = 8
 _ELEMENTS = 4
 _FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
 _NEAR = 1e-3  # poles closer than this, relatively, count as coinciding
+_FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
+_OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
@@ -214,10 +222,12 @@ def fit_response(
         )
     problem = _problem(data, noise_floor)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
-    trial = _select_order(problem, max_order, start)
-    trial = _prune(problem, _refine(problem, trial))
-    trial, notes = _settle_far_poles(problem, trial)
-    return _model(problem, data, response.f1_hz, trial, notes)
+    trial = _refine(problem, _select_order(problem, max_order, start))
+    problem, trial, notes = _drop_outliers(problem, trial)
+    trial = _prune(problem, trial)
+    trial, removed = _drop_faint_instability(problem, trial)
+    trial, mirrored = _settle_far_poles(problem, trial)
+    return _model(problem, response.f1_hz, trial, notes + removed + mirrored)
 
 
 class _Problem(NamedTuple):
@@ -287,6 +297,64 @@ def _reductions(problem: _Problem, trial: _Trial) -> list[tuple[np.ndarray, int]
         found.append((trial.poles, trial.tail - 1))
     far = np.flatnonzero(_is_far(problem, trial.poles) & (trial.tail == 1))
     return found + [(np.delete(trial.poles, k), 2) for k in far]
+
+
+def _drop_outliers(problem: _Problem, trial: _Trial) -> tuple[_Problem, _Trial, tuple[str, ...]]:
+    """Leave out rows that ask for a pole of their own, narrower than the distance of the rows, and that pole."""
+    notes: tuple[str, ...] = ()
+    for _ in range(len(problem.s) // _OUTLIERS_PER_ROW):
+        tried = [_without_row(problem, trial, k) for k in _narrow(problem, trial.poles)]
+        found = [(p, t) for p, t, pays in tried if pays]
+        if not found:
+            break
+        kept, trial = min(found, key=lambda pt: pt[1].bic)
+        nu = np.setdiff1d(problem.s.imag, kept.s.imag)[0] / (2.0 * np.pi)
+        notes += (f"the row at |f - f1| = {nu:.4g} Hz does not agree with its neighbours and was left out of the fit",)
+        problem = kept
+    return problem, trial, notes
+
+
+def _narrow(problem: _Problem, poles: np.ndarray) -> np.ndarray:
+    """Indices of pairs inside the band whose width is below the distance of the rows around them."""
+    w = problem.s.imag
+    above = np.clip(np.searchsorted(w, poles.imag), 1, len(w) - 1)
+    inside = (poles.imag >= w[0]) & (poles.imag <= w[-1])
+    return np.flatnonzero(inside & (np.abs(poles.real) < w[above] - w[above - 1]))
+
+
+def _without_row(problem: _Problem, trial: _Trial, k: int) -> tuple[_Problem, _Trial, bool]:
+    """Pole k and the row next to it left out; whether the other rows do not miss the pole, and the row stands apart."""
+    row = int(np.argmin(np.abs(problem.s.imag - trial.poles[k].imag)))
+    rest = _Problem(*(np.delete(part, row, axis=-1) for part in problem[:3]), *problem[3:])
+    with_pole = _refine(rest, _trial(rest, trial.poles, trial.tail))
+    without = _refine(rest, _trial(rest, np.delete(trial.poles, k), trial.tail))
+    expected = (
+        _basis(problem.s[row : row + 1], without.poles, without.tail)[0]
+        @ _linear(rest, without.poles, without.tail).coefficients.T
+    )
+    apart = np.linalg.norm(problem.y[:, row] - expected) > _FAINT * np.linalg.norm(problem.y[:, row])
+    return rest, without, bool(apart and without.bic < with_pole.bic)
+
+
+def _drop_faint_instability(problem: _Problem, trial: _Trial) -> tuple[_Trial, tuple[str, ...]]:
+    """Remove poles in the right half-plane that Y does not need to 1e-4: errors of the sweep ask for them."""
+    unstable = trial.poles.real > 0.0
+    if not np.any(unstable):
+        return trial, ()
+    stable = _refine(problem, _trial(problem, trial.poles[~unstable], trial.tail), n_iterations=30)
+    if np.any(stable.poles.real > 0.0) or _relative_misfit(problem, stable) > _FAINT:
+        return trial, ()
+    text = ", ".join(f"{p.real:+.3g}{p.imag:+.3g}j" for p in trial.poles[unstable])
+    return stable, (f"poles fitted at {text} rad/s were left out: without them the misfit stays below {_FAINT:g} of Y",)
+
+
+def _relative_misfit(problem: _Problem, trial: _Trial) -> float:
+    """Root mean square misfit relative to ||Y||_F / 2 at each frequency, whatever the weights."""
+    n = len(problem.s)
+    misfit = _linear(problem, trial.poles, trial.tail).misfit
+    absolute = (misfit[:, :n] ** 2 + misfit[:, n:] ** 2) / problem.weight**2
+    size = np.sum(np.abs(problem.y) ** 2, axis=0) / _ELEMENTS
+    return float(np.sqrt(np.mean(absolute / size) / 2.0))
 
 
 def _settle_far_poles(problem: _Problem, trial: _Trial) -> tuple[_Trial, tuple[str, ...]]:
@@ -510,7 +578,7 @@ def _projected_jacobian(problem: _Problem, trial: _Trial, linear: _Linear) -> tu
 # The finished model ------------------------------------------------------------------------------------------------
 
 
-def _model(problem: _Problem, data: DqData, f1_hz: float, trial: _Trial, notes: tuple[str, ...]) -> RationalModel:
+def _model(problem: _Problem, f1_hz: float, trial: _Trial, notes: tuple[str, ...]) -> RationalModel:
     linear = _linear(problem, trial.poles, trial.tail)
     cut = _cut_ranks(problem, trial, linear)
     residues, d, e = _parts(trial, cut.coefficients)
@@ -532,7 +600,7 @@ def _model(problem: _Problem, data: DqData, f1_hz: float, trial: _Trial, notes: 
         residual=float(np.sqrt(linear.cost / linear.misfit.size)),
         noise_floor=problem.noise_floor,
         weighting=problem.weighting,
-        nu_hz=data.nu_hz,
+        nu_hz=problem.s.imag / (2.0 * np.pi),
         covariance_root=root,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
