@@ -24,10 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .frames import T_INVERSE, T, dq_to_pn, pn_to_dq
 from .response import FrequencyResponse
-
-T_PN = np.array([[1.0, 1j], [1.0, -1j]])
-"""(d, q) to (positive sequence, conjugate of the mirror)."""
 
 MIN_POINTS = 8
 """Fewest usable rows a model is made from."""
@@ -142,7 +140,7 @@ def derivative(model: RationalModel, s: complex) -> np.ndarray:
 def evaluate_pn(model: RationalModel, f_hz: np.ndarray) -> np.ndarray:
     """Ypn (n, 2, 2) in S at signed frequencies (n,) in Hz: Ypn(s) = T Ydq(s - j w1) T^-1."""
     s = 2j * np.pi * (np.asarray(f_hz, dtype=float) - model.f1_hz)
-    return T_PN @ evaluate(model, s) @ np.linalg.inv(T_PN)
+    return dq_to_pn(evaluate(model, s))
 
 
 def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -168,8 +166,8 @@ def to_dq(response: FrequencyResponse) -> DqData:
     covariance = np.asarray(response.covariance)[usable]
     if response.frame == "pn":
         nu_hz = nu_hz - response.f1_hz
-        y = np.linalg.inv(T_PN) @ y @ T_PN
-        turn = _real_form(np.kron(np.linalg.inv(T_PN), T_PN.T))
+        y = pn_to_dq(y)
+        turn = _real_form(np.kron(T_INVERSE, T.T))
         covariance = turn @ covariance @ turn.T
     y = np.where(nu_hz[:, None, None] < 0.0, y.conj(), y)
     ascending = np.argsort(np.abs(nu_hz), kind="stable")
@@ -325,27 +323,30 @@ def _narrow(problem: _Problem, poles: np.ndarray) -> np.ndarray:
 def _without_row(problem: _Problem, trial: _Trial, k: int) -> tuple[_Problem, _Trial, bool]:
     """Pole k and the row next to it left out; whether the other rows do not miss the pole, and the row stands apart."""
     row = int(np.argmin(np.abs(problem.s.imag - trial.poles[k].imag)))
-    rest = _Problem(*(np.delete(part, row, axis=-1) for part in problem[:3]), *problem[3:])
+    rest = problem._replace(
+        s=np.delete(problem.s, row),
+        y=np.delete(problem.y, row, axis=1),
+        weight=np.delete(problem.weight, row, axis=1),
+    )
     with_pole = _refine(rest, _trial(rest, trial.poles, trial.tail))
     without = _refine(rest, _trial(rest, np.delete(trial.poles, k), trial.tail))
-    expected = (
-        _basis(problem.s[row : row + 1], without.poles, without.tail)[0]
-        @ _linear(rest, without.poles, without.tail).coefficients.T
-    )
+    coefficients = _linear(rest, without.poles, without.tail).coefficients
+    expected = coefficients @ _basis(problem.s[row : row + 1], without.poles, without.tail)[0]
     apart = np.linalg.norm(problem.y[:, row] - expected) > _FAINT * np.linalg.norm(problem.y[:, row])
     return rest, without, bool(apart and without.bic < with_pole.bic)
 
 
 def _drop_faint_instability(problem: _Problem, trial: _Trial) -> tuple[_Trial, tuple[str, ...]]:
     """Remove poles in the right half-plane that Y does not need to 1e-4: errors of the sweep ask for them."""
-    unstable = trial.poles.real > 0.0
-    if not np.any(unstable):
+    stable = trial
+    while np.any(stable.poles.real > 0.0):
+        kept = stable.poles[stable.poles.real <= 0.0]
+        stable = _refine(problem, _trial(problem, kept, trial.tail), n_iterations=30)
+    n_left_out = _order(trial.poles) - _order(stable.poles)
+    if n_left_out == 0 or _relative_misfit(problem, stable) > _FAINT:
         return trial, ()
-    stable = _refine(problem, _trial(problem, trial.poles[~unstable], trial.tail), n_iterations=30)
-    if np.any(stable.poles.real > 0.0) or _relative_misfit(problem, stable) > _FAINT:
-        return trial, ()
-    text = ", ".join(f"{p.real:+.3g}{p.imag:+.3g}j" for p in trial.poles[unstable])
-    return stable, (f"poles fitted at {text} rad/s were left out: without them the misfit stays below {_FAINT:g} of Y",)
+    note = f"poles left out of the fit, unstable ones among them: {n_left_out}; its misfit stays below {_FAINT:g} of Y"
+    return stable, (note,)
 
 
 def _relative_misfit(problem: _Problem, trial: _Trial) -> float:

@@ -108,6 +108,25 @@ def test_noise_is_not_taken_for_modes() -> None:
     assert set(orders) == {7}  # shunt, filter, PLL and DC link; the filter's two pairs are one at 0.1 %
 
 
+def test_row_that_disagrees_with_its_neighbours_is_left_out_and_named() -> None:
+    """One row off by 5 %: it would ask for a mode of its own, on the edge of stability, at just that frequency."""
+    y = turbine(noise=1e-3).y.copy()
+    row = int(np.argmin(np.abs(F_HZ - 76.0)))
+    y[row] *= 1.05
+    model = fit_response(FrequencyResponse(F_HZ, y, F1_HZ))
+    assert model.order == 7
+    assert len(model.nu_hz) == len(F_HZ) - 1
+    assert f"|f - f1| = {F_HZ[row] - F1_HZ:.4g} Hz does not agree with its neighbours" in model.notes[0]
+
+
+def test_faint_systematic_error_makes_no_unstable_device() -> None:
+    """1e-5 at 1 kHz, growing with f^2 and not real-rational: the fit follows it with poles of no meaning."""
+    y = turbine().y * (1.0 + 1e-5 * (F_HZ / 1000.0) ** 2 * (1.0 + 0.3j))[:, None, None]
+    model = fit_response(FrequencyResponse(F_HZ, y, F1_HZ))
+    assert model.n_unstable == 0
+    assert "poles left out of the fit" in model.notes[0]
+
+
 def test_standard_errors_of_the_poles_are_calibrated() -> None:
     """120 trials leave 9 % of doubt on a standard deviation; the noise is not quite the one of the weights."""
     own = np.linalg.eigvals(oracle.linearise(0.65e6, 690.0).A)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit import T_PN, RationalModel, evaluate, evaluate_pn
+from ..identify.fit import RationalModel, evaluate, evaluate_pn
+from ..identify.frames import T_INVERSE, T, dq_to_pn
 from .poles import closed_loop_poles, is_beyond, mode_shape
 from .siso import Grid, impedance_dq
 
@@ -136,8 +137,8 @@ def participation(model: RationalModel, grid: Grid, pole: complex) -> Participat
     |left_i Y_ij right_j| among all, in the pn frame.
     """
     shape = mode_shape(model, grid, pole)
-    y = T_PN @ evaluate(model, np.array([pole]))[0] @ np.linalg.inv(T_PN)
-    left, right = shape.left @ np.linalg.inv(T_PN), T_PN @ shape.right
+    y = dq_to_pn(evaluate(model, np.array([pole])))[0]
+    left, right = shape.left @ T_INVERSE, T @ shape.right
     effect = np.abs(left[:, None] * y * right).ravel()
     share = dict(zip(ELEMENTS, (effect / effect.sum()).tolist(), strict=True))
     above, below = np.abs(y @ right)
