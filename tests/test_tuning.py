@@ -195,6 +195,14 @@ def test_grid_of_the_sweep_is_compared_with_the_grid_of_the_tuning() -> None:
     assert "belongs to 0.0168 + j0.35 ohm, not to 0.0144 + j0.3 ohm" in text
 
 
+def test_grid_of_the_sweep_is_found_in_the_table_s_configuration(tmp_path: Path) -> None:
+    table = read_table(table_file(tmp_path))
+    at = {"id": "p650", "active_power_mw": 0.65, "grid": {"r_ohm": 0.012, "x_ohm": 0.25}}
+    table = replace(table, meta={**table.meta, "configuration": {"operating_point": [at]}})
+    (text,) = tune(table, GRID).points[0].warnings
+    assert "belongs to 0.012 + j0.25 ohm, not to 0.0168 + j0.35 ohm" in text
+
+
 def test_unknown_operating_point_is_no_reason_to_warn() -> None:
     assert grid_warnings({"active_power_mw": None, "terminal_voltage_pu": None}, BASES, GRID) == ()
     assert grid_warnings({}, {}, GRID) == ()

@@ -58,17 +58,31 @@ def tune(
     responses = _chosen(responses, op_ids)
     _check(responses, grid, margin)
     bases = meta.get("bases", {})
-    points = tuple(tune_point(response, grid, margin=margin, bases=bases) for response in responses)
+    swept = _swept_grids(meta)
+    points = tuple(
+        tune_point(response, grid, margin=margin, bases=bases, swept_grid=swept.get(response.meta.get("op_id")))
+        for response in responses
+    )
     return TuningResult(grid, margin, points, _provenance(meta))
 
 
 def tune_point(
-    response: FrequencyResponse, grid: Grid, *, margin: float = 1.4, bases: Mapping[str, Any] | None = None
+    response: FrequencyResponse,
+    grid: Grid,
+    *,
+    margin: float = 1.4,
+    bases: Mapping[str, Any] | None = None,
+    swept_grid: Mapping[str, Any] | None = None,
 ) -> PointTuning:
-    """Judge one operating point; ``bases`` (rated_voltage_v, rated_power_va) give the short-circuit ratio."""
+    """Judge one operating point.
+
+    ``bases`` (rated_voltage_v, rated_power_va) give the short-circuit ratio; ``swept_grid`` (r_ohm, x_ohm, scale) is
+    the grid whose load flow set |v_pcc| in the sweep, where there was one.
+    """
     bases = bases or {}
     op_id = str(response.meta.get("op_id", ""))
-    warnings = (*_row_warnings(response), *grid_warnings(response.meta, bases, grid))
+    at = {**response.meta, "grid": swept_grid or response.meta.get("grid")}
+    warnings = (*_row_warnings(response), *grid_warnings(at, bases, grid))
     usable = int(np.sum(response.ok & np.isfinite(response.y).all(axis=(1, 2))))
     if usable < MIN_POINTS:
         reason = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
@@ -182,6 +196,12 @@ def _check(responses: Sequence[FrequencyResponse], grid: Grid, margin: float) ->
     for response in responses:
         if response.frame != "pn":
             raise ValueError(f"{response.meta.get('op_id')}: tuning reads the pn frame, given is {response.frame!r}")
+
+
+def _swept_grids(meta: Mapping[str, Any]) -> dict[Any, Mapping[str, Any]]:
+    """The grids the campaign's configuration gives its operating points, by op_id."""
+    points = meta.get("configuration", {}).get("operating_point", [])
+    return {point.get("id"): point["grid"] for point in points if isinstance(point, Mapping) and point.get("grid")}
 
 
 def _provenance(meta: Mapping[str, Any]) -> dict[str, Any]:
