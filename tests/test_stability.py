@@ -328,11 +328,13 @@ def test_band_that_ends_while_the_device_is_active_is_not_enough() -> None:
     assert stability.verdict == "undecided"
 
 
-def test_swept_needs_neighbours_on_both_sides() -> None:
+def test_swept_needs_neighbours_as_close_as_the_mode_is_wide() -> None:
     model = fit_response(turbine())
-    assert is_swept(model, 26.0)
-    assert not is_swept(model, 0.01)
-    assert not is_swept(model, 1100.0)
+    assert is_swept(model, -1.0 + 2j * np.pi * 26.0)
+    assert not is_swept(model, -1.0 + 2j * np.pi * 0.01)
+    assert not is_swept(model, -1.0 + 2j * np.pi * 1100.0)
+    assert not is_swept(model, -1.0 + 2j * np.pi * 5.0)  # rows at 3.6 and 6.7 Hz
+    assert is_swept(model, -10.0 + 2j * np.pi * 5.0)
 
 
 def test_extrapolation_is_stated() -> None:

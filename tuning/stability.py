@@ -27,7 +27,7 @@ DECIDED = 0.99
 LIGHTLY_DAMPED = 0.05
 """Damping ratio below which a mode must lie inside the swept band to be believed."""
 
-_GAP = 1.6  # neighbouring swept frequencies |f - f1| further apart than this ratio leave a gap
+_GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _EDGE = 1.05  # a mode this far beyond the band's end still counts as swept
 _MAX_POINTS = 20000
 
@@ -456,7 +456,7 @@ def _decide(
             f"points near {_place(model, doubtful.nu_hz)}"
         )
     decisive = _decisive(loop, stable)
-    unseen = [k for k in decisive if not is_swept(model, float(loop.f_hz[k]))]
+    unseen = [k for k in decisive if not is_swept(model, complex(loop.poles[k]))]
     if unseen and (stable or len(unseen) == len(decisive)):
         return "undecided", (
             f"a mode at {_place(model, float(loop.f_hz[unseen[0]]))} decides, and the table has no usable rows around "
@@ -480,13 +480,15 @@ def _decisive(loop: ClosedLoop, stable: bool) -> list[int]:
     return sorted({*light, *([] if loop.critical is None else [loop.critical])})
 
 
-def is_swept(model: RationalModel, nu_hz: float) -> bool:
-    """Whether usable rows lie on both sides of a frequency |f - f1| (Hz), close enough to see a mode there."""
+def is_swept(model: RationalModel, pole: complex) -> bool:
+    """Whether usable rows lie on both sides of a mode (rad/s, dq), as close as their ratio or the mode's width asks."""
+    nu = abs(pole.imag) / (2.0 * np.pi)
     swept = model.nu_hz
-    if nu_hz < swept[0] / _EDGE or nu_hz > swept[-1] * _EDGE:
+    if nu < swept[0] / _EDGE or nu > swept[-1] * _EDGE:
         return False
-    above = int(np.clip(np.searchsorted(swept, nu_hz), 1, len(swept) - 1))
-    return bool(swept[above] <= _GAP * swept[above - 1])
+    above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
+    distance = 2.0 * np.pi * (swept[above] - swept[above - 1])
+    return bool(swept[above] <= _GAP * swept[above - 1] or distance <= 2.0 * abs(pole.real))
 
 
 def _active_at_end(model: RationalModel, grid: Grid) -> bool:
