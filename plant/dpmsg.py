@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from math import pi, sqrt
+from dataclasses import dataclass, replace
+from math import ceil, pi, sqrt
 
 import numpy as np
 
 from . import dpmsg_equilibrium as stationary
-from .dpmsg_parameters import TABLE_I, TurbineParameters
+from .damping import NOTCH_XI, compensation
+from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .protocol import (
+    Compensation,
+    Conditions,
     Injection,
     Job,
     NotSettled,
@@ -26,11 +29,20 @@ from .protocol import (
     Rating,
     Record,
     Source,
+    Trace,
     Window,
 )
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
+
+_DAMPING_RANGES = {
+    "damping_gain": (0.0, 2.0, ""),
+    "damping_r_ohm": (0.0, 100.0, " ohm"),
+    "damping_l_h": (0.0, 1.0, " H"),
+    "damping_resonance_hz": (-1000.0, 1000.0, " Hz"),
+}
+"""Parameters of the damping control: lowest, highest, unit. Frequencies are signed."""
 
 _RESIDUAL_LIMIT = 1e-9
 """Largest change over one period, relative to rated, of a certified steady state."""
@@ -46,8 +58,8 @@ class TurbineState:
         Steps since time zero.
     time_s : float
         Time (s).
-    values : (17,) float
-        The kernel's states, read-only.
+    values : (21,) float
+        The kernel's states, read-only; the last four are the notch's at the measurement port.
     wind_m_s : float
         Wind speed (m/s).
     v_source : complex
@@ -71,28 +83,47 @@ class ReferenceTurbine:
     ----------
     dt_s : float
         Step (s); the classical Runge-Kutta method of order four is stable to about 0.5 ms.
+    damping_gain : float
+        Gain k of the damping control at the measurement port, 0 (off) to 2.
+    damping_r_ohm, damping_l_h : float
+        R_grid (ohm) and L_grid (H) of the damping control; those of the line of Table I by default.
+    damping_resonance_hz : float
+        Signed frequency w_r / 2 pi of the stronger resonance component (Hz).
     **parameters : float
         Fields of `TurbineParameters` to replace, e.g. ``k_pp=0.1``.
 
     Raises
     ------
     ValueError
-        If a parameter is unknown or the step is not positive.
+        If a parameter is unknown or out of its range.
     """
 
     id = "dpmsg-v1"
     releases_gil = True
     power_meaning = "P_machine = Re(v_conv conj(i_L)): power of the lossless converters, not of the PCC"
 
-    def __init__(self, dt_s: float = 50e-6, **parameters: float):
+    def __init__(
+        self,
+        dt_s: float = 50e-6,
+        *,
+        damping_gain: float = 0.0,
+        damping_r_ohm: float = LINE_R_OHM,
+        damping_l_h: float = LINE_L_H,
+        damping_resonance_hz: float = 77.0,
+        **parameters: float,
+    ):
         unknown = sorted(set(parameters) - set(TurbineParameters._fields))
         if unknown:
-            raise ValueError(
-                f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(TurbineParameters._fields)}"
-            )
+            known = (*_DAMPING_RANGES, *TurbineParameters._fields)
+            raise ValueError(f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
+        damping = (damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz)
+        for (name, (low, high, unit)), value in zip(_DAMPING_RANGES.items(), damping, strict=True):
+            if not low <= value <= high:
+                raise ValueError(f"{name} is {value:g}{unit}; {self.id} takes {low:g} to {high:g}{unit}")
         if not 0.0 < dt_s <= 5e-4:
             raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
+        self.compensation = compensation(*map(float, damping))
         self.dt_s = float(dt_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
@@ -134,6 +165,7 @@ class ReferenceTurbine:
                 *(grid_side.xi_dc, grid_side.xi_d, grid_side.xi_q, p.v_dc_ref_v),
                 *(machine.i_d, machine.i_q, machine.xi_d, machine.xi_q, machine.w_m),
                 *(v_c.real, v_c.imag, i_g.real, i_g.imag),
+                *(i_g.real, i_g.imag, i_g.imag, -i_g.real),  # the notch holds i_g back, and -1j i_g
             ]
         )
         return self._state(0, values, machine.wind_speed_m_s, v_source * turn, source)
@@ -142,14 +174,16 @@ class ReferenceTurbine:
         """Poles of the small-signal system around ``state`` in the dq frame (rad/s), worst first.
 
         Central differences of the plant's own flow over ten steps: what the stepper does, not what
-        the equations say. With an ideal source the shunt (1e5 rad/s) and the unused line are left out.
+        the equations say. With an ideal source the shunt (1e5 rad/s) and the unused line are left out,
+        without compensation its notch.
         """
-        n_steps = 10
-        n = 13 if state.source.kind == "ideal" else 17
-        scale = 1e-5 * np.maximum(np.abs(state.values[:n]), 1.0)
-        moved = [state.values + sign * step * (np.arange(17) == k) for k, step in enumerate(scale) for sign in (1, -1)]
+        n_steps, n_values = 10, len(state.values)
+        kept = [*range(13 if state.source.kind == "ideal" else 17), *(range(17, 21) if self._compensated else [])]
+        scale = 1e-5 * np.maximum(np.abs(state.values[kept]), 1.0)
+        units = np.eye(n_values)[kept]
+        moved = [state.values + sign * step * unit for step, unit in zip(scale, units, strict=True) for sign in (1, -1)]
         jobs = [Job(self._state(state.step, x, state.wind_m_s, state.v_source, state.source), None) for x in moved]
-        ends = np.array([end.values[:n] for end, _ in self.run(jobs, n_steps)])
+        ends = np.array([end.values[kept] for end, _ in self.run(jobs, n_steps)])
         flow = ((ends[0::2] - ends[1::2]) / (2.0 * scale[:, None])).T
         poles = np.log(np.linalg.eigvals(flow).astype(complex)) / (n_steps * self.dt_s)
         return poles[np.argsort(-poles.real)]
@@ -216,6 +250,10 @@ class ReferenceTurbine:
 
     # ------------------------------------------------------------------ driving
 
+    @property
+    def _compensated(self) -> bool:
+        return self.compensation != Compensation()
+
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
         from .kernels import turbine as kernel
@@ -223,7 +261,7 @@ class ReferenceTurbine:
         results: list[tuple[TurbineState, Record]] = [None] * len(jobs)  # type: ignore[list-item]
         for lanes, members, ideal, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
             samples = np.empty((n_steps, 4, kernel.LANES))
-            kernel.advance_recording(lanes, ideal, n_tones, self.parameters, self.dt_s, samples)
+            kernel.advance_recording(lanes, ideal, self._compensated, n_tones, self.parameters, self.dt_s, samples)
             ends = self._ends(lanes, [jobs[m] for m in members], n_steps)
             for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
                 results[member] = end, self._record(jobs[member].state, samples[:, :, lane])
@@ -238,11 +276,60 @@ class ReferenceTurbine:
         results: list[tuple[TurbineState, Phasors]] = [None] * len(jobs)  # type: ignore[list-item]
         for lanes, members, ideal, n_tones in self._batches(jobs, windows, block_steps):
             sums = np.empty((n_blocks, 8, kernel.LANES))
-            kernel.advance_blocks(lanes, ideal, n_tones, self.parameters, self.dt_s, block_steps, sums)
+            kernel.advance_blocks(
+                lanes, ideal, self._compensated, n_tones, self.parameters, self.dt_s, block_steps, sums
+            )
             ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
             for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
                 results[member] = end, _phasors(sums[:, :, lane])
         return results
+
+    def trace(self, state: TurbineState, conditions: Conditions, n_steps: int) -> tuple[TurbineState, Trace]:
+        """Go on under ``conditions``, with everything worth seeing; see `MeasuredPlant.trace`.
+
+        Raises
+        ------
+        ValueError
+            If the state's source is ideal: faults and grid steps need a grid.
+
+        Notes
+        -----
+        A bolted fault leaves the shunt its own time constant Rf Cf (10 us): steps are cut to that.
+        """
+        from .kernels import turbine as kernel
+
+        if state.source.kind != "thevenin":
+            raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
+        start = self._surrounded(state, conditions)
+        lane = self._lane(Job(start, None), Window(0.0, 1), 1, 0)
+        self._set_port(lane, start, conditions)
+        lanes = np.repeat(lane, kernel.LANES)
+        p = self.parameters
+        p = p._replace(k_opt=p.k_opt * conditions.power_scale)
+        cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
+        samples = np.empty((n_steps, 7))
+        kernel.advance_tracing(lanes, p, self.dt_s / cut, cut, samples)
+        (end,) = self._ends(lanes, [Job(start, None)], n_steps)
+        sync = samples[:, 6] - cmath.phase(state.v_source)
+        return end, Trace(self._record(start, samples), samples[:, 4], samples[:, 5], sync)
+
+    def _surrounded(self, state: TurbineState, conditions: Conditions) -> TurbineState:
+        """The state with the conditions' grid and wind."""
+        return replace(
+            state,
+            source=replace(state.source, r_ohm=conditions.r_ohm, l_h=conditions.l_h),
+            wind_m_s=state.wind_m_s if conditions.wind_m_s is None else conditions.wind_m_s,
+        )
+
+    def _set_port(self, lane: np.ndarray, state: TurbineState, conditions: Conditions) -> None:
+        """Compensation and fault into one lane's column."""
+        from .kernels import turbine as kernel
+
+        compensation = self.compensation if conditions.compensation is None else conditions.compensation
+        lane[kernel.COMP_R], lane[kernel.COMP_X] = compensation
+        share, skew = _fault_division(self.parameters.r_f_ohm, conditions.fault_s)
+        lane[kernel.FAULT_SHARE] = share
+        _set_complex(lane, kernel.FAULT_SKEW_RE, skew * _phasor(-2.0 * self.f1_hz * state.step * self.dt_s))
 
     def _batches(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
@@ -278,6 +365,10 @@ class ReferenceTurbine:
         shunt = self._shunt_voltage_ratio(self.f1_hz)
         _set_complex(x, kernel.V_S_RE, state.v_source)
         _set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
+        x[kernel.COMP_R], x[kernel.COMP_X] = self.compensation
+        x[kernel.NOTCH_W0] = self.parameters.w1_rad_s
+        x[kernel.NOTCH_WIDTH] = 2.0 * NOTCH_XI * self.parameters.w1_rad_s
+        x[kernel.FAULT_SHARE] = 1.0
         x[kernel.GRID_R] = source.r_ohm
         x[kernel.GRID_1_L] = 1.0 / source.l_h if source.kind == "thevenin" else 0.0
         _set_complex(x, kernel.LINE_RE, _phasor((window.f_hz - self.f1_hz) * state.step * self.dt_s))
@@ -327,6 +418,13 @@ class ReferenceTurbine:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+
+
+def _fault_division(r_f_ohm: float, fault_s: tuple[float, float, float]) -> tuple[float, complex]:
+    """(share, skew) of (1 + Rf G)^-1 v = share v + skew conj(v), for a symmetric G on (alpha, beta)."""
+    aa, ab, bb = fault_s
+    inverse = np.linalg.inv(np.eye(2) + r_f_ohm * np.array([[aa, ab], [ab, bb]]))
+    return 0.5 * (inverse[0, 0] + inverse[1, 1]), complex(0.5 * (inverse[0, 0] - inverse[1, 1]), inverse[0, 1])
 
 
 def _n_tones(injection: Injection | None) -> int:

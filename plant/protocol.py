@@ -221,6 +221,81 @@ class PhasorPlant(Plant, Protocol):
         ...
 
 
+class Compensation(NamedTuple):
+    """What stands between measurement and controller: ``v_r = v - H_NF(s) (r_ohm + 1j*x_ohm) i_g``.
+
+    ``x_ohm`` is w_r Lv, signed with w_r; i_g is positive *out of* the device, here alone. The circuit
+    goes on with v. H_NF is a notch at the fundamental. Zero and zero: off.
+    """
+
+    r_ohm: float = 0.0
+    x_ohm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What surrounds a device for a while, in `MeasuredPlant.trace`.
+
+    Attributes
+    ----------
+    r_ohm, l_h : float
+        Series impedance of the Thevenin source (ohm, H); its voltage is that of the state.
+    fault_s : (3,) float
+        Conductance at the PCC (S): alpha-alpha, alpha-beta, beta-beta.
+    wind_m_s : float or None
+        Wind speed (m/s); None leaves it.
+    power_scale : float
+        Factor on the law by which the device chooses its power.
+    compensation : Compensation or None
+        At the measurement port; None is the plant's own.
+    """
+
+    r_ohm: float
+    l_h: float
+    fault_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind_m_s: float | None = None
+    power_scale: float = 1.0
+    compensation: Compensation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A record and what else a person wants to see of a device.
+
+    Attributes
+    ----------
+    record : Record
+        v_pcc and current (load direction).
+    v_dc_v : (n,) float
+        Voltage of the DC link (V).
+    rotor_rad_s : (n,) float
+        Rotor speed (rad/s).
+    sync_rad : (n,) float
+        Angle of the device's synchronisation ahead of the source voltage (rad), not wrapped.
+    """
+
+    record: Record
+    v_dc_v: np.ndarray
+    rotor_rad_s: np.ndarray
+    sync_rad: np.ndarray
+
+
+@runtime_checkable
+class MeasuredPlant(Plant, Protocol):
+    """Optional capability: a measurement port, and surroundings that change between two calls.
+
+    The port is where the controller's v and i come from, and where damping control acts.
+    """
+
+    def equilibrium(self, operating_point: OperatingPoint, source: Source) -> Any:
+        """The periodic state, stable or not; `NotSettled` where there is none."""
+        ...
+
+    def trace(self, state: Any, conditions: Conditions, n_steps: int) -> tuple[Any, Trace]:
+        """Go on from ``state`` under ``conditions``; samples at steps 0 ... n_steps - 1."""
+        ...
+
+
 @runtime_checkable
 class RecordSource(Protocol):
     """Something that has records to offer but cannot be driven: files, a laboratory."""

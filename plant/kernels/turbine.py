@@ -8,6 +8,10 @@ power-invariant. Controllers work in the PLL frame (suffixes d, q).
 Integrator: classical Runge-Kutta of order four. With an ideal source the shunt Rf-Cf (10 us) is
 driven by the source alone and drives nothing: it is solved exactly, because RK4 at that time
 constant would cost percents (see docs/turbine.md).
+
+Each source comes plain and *compensated*. A compensated lane has a block between measurement and
+controller that tells the controller another voltage than the PCC's (docs/damping.md); the circuit
+goes on with the PCC's. The block knows v, i and its own four states, nothing of the controller.
 """
 
 from __future__ import annotations
@@ -23,20 +27,28 @@ LANES = 8
 I_L_RE, I_L_IM, DELTA, X_PLL, XI_DC, XI_D, XI_Q, V_DC = range(8)
 I_SD, I_SQ, XI_SD, XI_SQ, W_M = range(8, 13)
 V_C_RE, V_C_IM, I_G_RE, I_G_IM = range(13, 17)
-N_STATES = 17
+# The notch at the measurement port: what it holds back (in the order of a tuple of its own), and 90 degrees behind it.
+B_RE, B_IM, Q_RE, Q_IM = range(4)
+NOTCH = 17
+N_STATES = 21
 
 # Constants of a lane: wind speed, source voltage and Thevenin impedance.
-WIND, V_S_RE, V_S_IM, GRID_R, GRID_1_L, V_CS_RE, V_CS_IM = range(17, 24)
+WIND, V_S_RE, V_S_IM, GRID_R, GRID_1_L, V_CS_RE, V_CS_IM = range(21, 28)
 # The sample at the start of the last step (voltage at the PCC, current out of the turbine).
-V_RE, V_IM, I_RE, I_IM = range(24, 28)
+V_RE, V_IM, I_RE, I_IM = range(28, 32)
 # Demodulation: phasor exp(j (2 pi f - w1) t), the taper's phasor, their rotations per step, its gain.
-LINE_RE, LINE_IM, LINE_ROT_RE, LINE_ROT_IM = range(28, 32)
-TAPER_RE, TAPER_IM, TAPER_ROT_RE, TAPER_ROT_IM, TAPER_GAIN = range(32, 37)
+LINE_RE, LINE_IM, LINE_ROT_RE, LINE_ROT_IM = range(32, 36)
+TAPER_RE, TAPER_IM, TAPER_ROT_RE, TAPER_ROT_IM, TAPER_GAIN = range(36, 41)
 # Sums of w re(x) re(line), w im(x) im(line), w im(x) re(line), w re(x) im(line), for v and for i.
-SUM_V, SUM_I = 37, 41
-# The source of the step at hand: voltage at its start, middle and end, forced shunt voltage at both ends.
-SOURCE = 45
-N_SOURCE_SLOTS = 10
+SUM_V, SUM_I = 41, 45
+# Compensation: impedance Rv + j w_r Lv (ohm), centre w0 and width 2 xi w0 of the notch (rad/s).
+COMP_R, COMP_X, NOTCH_W0, NOTCH_WIDTH = range(49, 53)
+# Fault at the PCC: v_pcc = share w + skew exp(-2j w1 t) conj(w) of the voltage w without it; the skew is kept turned.
+FAULT_SHARE, FAULT_SKEW_RE, FAULT_SKEW_IM = range(53, 56)
+# The source of the step at hand: voltage at its start, middle and end; the shunt voltage that it forces
+# at start, end and (compensated lanes) middle.
+SOURCE = 56
+N_SOURCE_SLOTS = 12
 # Tones: phasor in the dq frame, rotation per half step, response of the ideal source's shunt. The tone
 # being worked on has a place of its own before the list.
 TONE = SOURCE + N_SOURCE_SLOTS
@@ -130,11 +142,14 @@ def _machine(x, wind, p):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _device(x, v_re, v_im, c, s, wind, p):
-    """Derivatives of the device's thirteen states at PCC voltage ``v`` and PLL angle (c, s)."""
+def _device(x, v_re, v_im, u_re, u_im, c, s, wind, p):
+    """Derivatives of the device's thirteen states at PCC voltage ``v`` and PLL angle (c, s).
+
+    ``u`` is the voltage that the controller is told; without compensation it is ``v``.
+    """
     i_re, i_im, v_dc = x[I_L_RE], x[I_L_IM], x[V_DC]
     i_d, i_q = c * i_re + s * i_im, c * i_im - s * i_re
-    v_q = c * v_im - s * v_re
+    v_q = c * u_im - s * u_re
     # DC voltage control; its integrator is held back while the current reference is limited.
     error_dc = v_dc - p.v_dc_ref_v
     i_d_wanted = p.k_dcp * error_dc + x[XI_DC]
@@ -167,12 +182,85 @@ def _behind_grid(x, v_re, v_im, c, s, wind, r_grid, inverse_l_grid, p):
     """Derivatives of all states with the device behind a Thevenin source ``v``."""
     i_f_re, i_f_im = x[I_L_RE] - x[I_G_RE], x[I_L_IM] - x[I_G_IM]
     v_pcc_re, v_pcc_im = x[V_C_RE] + p.r_f_ohm * i_f_re, x[V_C_IM] + p.r_f_ohm * i_f_im
-    return _device(x, v_pcc_re, v_pcc_im, c, s, wind, p) + (
+    return _device(x, v_pcc_re, v_pcc_im, v_pcc_re, v_pcc_im, c, s, wind, p) + (
         i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
         i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
         (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
         (v_pcc_im - v_im - r_grid * x[I_G_IM]) * inverse_l_grid - p.w1_rad_s * x[I_G_RE],
     )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _told(v_re, v_im, i_re, i_im, n, block):
+    """Voltage that the controller is told: v - (Rv + j w_r Lv) H_NF i, with i out of the turbine.
+
+    ``block`` is (Rv, w_r Lv, w0, width). The impedance is a constant: it may stand before or behind the
+    notch, and behind it switching does not excite the notch.
+    """
+    through_re, through_im = i_re - n[B_RE], i_im - n[B_IM]
+    return (
+        v_re - block[0] * through_re + block[1] * through_im,
+        v_im - block[0] * through_im - block[1] * through_re,
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _notch(n, i_re, i_im, block, w1):
+    """Derivatives of the notch's states, alpha and beta seen from the frame at w1.
+
+    H_NF i = i - b with b = width s / (s^2 + width s + w0^2) i:  b' = width (i - b) - w0 q, q' = w0 b.
+    """
+    w0, width = block[2], block[3]
+    return (
+        width * (i_re - n[B_RE]) - w0 * n[Q_RE] + w1 * n[B_IM],
+        width * (i_im - n[B_IM]) - w0 * n[Q_IM] - w1 * n[B_RE],
+        w0 * n[B_RE] + w1 * n[Q_IM],
+        w0 * n[B_IM] - w1 * n[Q_RE],
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _ideal_compensated(x, n, v_re, v_im, v_c_re, v_c_im, c, s, wind, block, p):
+    """Derivatives of device and notch at PCC voltage ``v``, shunt voltage ``v_c``."""
+    i_re, i_im = x[I_L_RE] - (v_re - v_c_re) / p.r_f_ohm, x[I_L_IM] - (v_im - v_c_im) / p.r_f_ohm
+    u_re, u_im = _told(v_re, v_im, i_re, i_im, n, block)
+    return _device(x, v_re, v_im, u_re, u_im, c, s, wind, p), _notch(n, i_re, i_im, block, p.w1_rad_s)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _at_pcc(x, fault, p):
+    """PCC voltage, and the current into the shunt, with a fault (share, skew) at the PCC.
+
+    v_pcc = (1 + Rf G)^-1 w with w = v_C + Rf (i_L - i_line) and the fault's conductance G.
+    """
+    w_re, w_im = x[V_C_RE] + p.r_f_ohm * (x[I_L_RE] - x[I_G_RE]), x[V_C_IM] + p.r_f_ohm * (x[I_L_IM] - x[I_G_IM])
+    v_re = fault[0] * w_re + fault[1] * w_re + fault[2] * w_im
+    v_im = fault[0] * w_im + fault[2] * w_re - fault[1] * w_im
+    return v_re, v_im, (v_re - x[V_C_RE]) / p.r_f_ohm, (v_im - x[V_C_IM]) / p.r_f_ohm
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _grid_compensated(x, n, v_re, v_im, fault, c, s, lane, block, p):
+    """Derivatives of all states and of the notch behind a Thevenin source ``v``; ``lane`` is (wind, R, 1/L).
+
+    The line carries i_g less the fault's current.
+    """
+    wind, r_grid, inverse_l_grid = lane
+    v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(x, fault, p)
+    i_re, i_im = x[I_L_RE] - i_f_re, x[I_L_IM] - i_f_im
+    u_re, u_im = _told(v_pcc_re, v_pcc_im, i_re, i_im, n, block)
+    return _device(x, v_pcc_re, v_pcc_im, u_re, u_im, c, s, wind, p) + (
+        i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
+        i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
+        (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
+        (v_pcc_im - v_im - r_grid * x[I_G_IM]) * inverse_l_grid - p.w1_rad_s * x[I_G_RE],
+    ), _notch(n, i_re, i_im, block, p.w1_rad_s)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _moved_4(x, h, k):
+    """``x + h k`` for the notch's states."""
+    return x[0] + h * k[0], x[1] + h * k[1], x[2] + h * k[2], x[3] + h * k[3]
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -243,6 +331,24 @@ def _store_13(x, lane, y):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _load_4(x, first, lane):
+    return (
+        x[(first + 0) * LANES + lane],
+        x[(first + 1) * LANES + lane],
+        x[(first + 2) * LANES + lane],
+        x[(first + 3) * LANES + lane],
+    )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _store_4(x, first, lane, y):
+    x[(first + 0) * LANES + lane] = y[0]
+    x[(first + 1) * LANES + lane] = y[1]
+    x[(first + 2) * LANES + lane] = y[2]
+    x[(first + 3) * LANES + lane] = y[3]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _listen(x, lane, v_re, v_im, i_re, i_im):
     """Keep the sample and add it, tapered and demodulated, to the sums of its line."""
     x[V_RE * LANES + lane], x[V_IM * LANES + lane] = v_re, v_im
@@ -267,8 +373,8 @@ def _listen(x, lane, v_re, v_im, i_re, i_im):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _source_of_step(x, n_tones):
-    """Source voltage at start, middle and end of the step; forced shunt voltage at both ends.
+def _source_of_step(x, n_tones, middle):
+    """Source voltage at start, middle and end of the step; forced shunt voltage at start, end, and ``middle`` if asked.
 
     Tones are copied through one fixed place: a moving offset would hide from the compiler that the
     lanes of a step do not overlap.
@@ -277,9 +383,9 @@ def _source_of_step(x, n_tones):
         for half in range(3):
             x[(SOURCE + 2 * half) * LANES + lane] = x[V_S_RE * LANES + lane]
             x[(SOURCE + 2 * half + 1) * LANES + lane] = x[V_S_IM * LANES + lane]
-        for end in range(2):
-            x[(SOURCE + 6 + 2 * end) * LANES + lane] = x[V_CS_RE * LANES + lane]
-            x[(SOURCE + 7 + 2 * end) * LANES + lane] = x[V_CS_IM * LANES + lane]
+        for place in range(3 if middle else 2):
+            x[(SOURCE + 6 + 2 * place) * LANES + lane] = x[V_CS_RE * LANES + lane]
+            x[(SOURCE + 7 + 2 * place) * LANES + lane] = x[V_CS_IM * LANES + lane]
     for tone in range(n_tones):
         first = (TONES + N_TONE_SLOTS * tone) * LANES
         for i in range(N_TONE_SLOTS * LANES):
@@ -295,6 +401,9 @@ def _source_of_step(x, n_tones):
             re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
             x[(SOURCE + 2) * LANES + lane] += re
             x[(SOURCE + 3) * LANES + lane] += im
+            if middle:
+                x[(SOURCE + 10) * LANES + lane] += h_re * re - h_im * im
+                x[(SOURCE + 11) * LANES + lane] += h_re * im + h_im * re
             re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
             x[(SOURCE + 4) * LANES + lane] += re
             x[(SOURCE + 5) * LANES + lane] += im
@@ -311,7 +420,7 @@ def advance_ideal(x, n_tones, p, h, n_steps):
     decay = math.exp(-h / (p.r_f_ohm * p.c_f_f))
     decay_re, decay_im = decay * math.cos(p.w1_rad_s * h), -decay * math.sin(p.w1_rad_s * h)
     for _ in range(n_steps):
-        _source_of_step(x, n_tones)
+        _source_of_step(x, n_tones, False)
         for lane in range(LANES):
             wind = x[WIND * LANES + lane]
             v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
@@ -332,16 +441,16 @@ def advance_ideal(x, n_tones, p, h, n_steps):
             x[V_C_RE * LANES + lane] = x[(SOURCE + 8) * LANES + lane] + rest_re * decay_re - rest_im * decay_im
             x[V_C_IM * LANES + lane] = x[(SOURCE + 9) * LANES + lane] + rest_im * decay_re + rest_re * decay_im
             c, s = _cos_sin(y[DELTA])
-            k1 = _device(y, v0_re, v0_im, c, s, wind, p)
+            k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, wind, p)
             z = _moved_13(y, 0.5 * h, k1)
             cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k2 = _device(z, v1_re, v1_im, cz, sz, wind, p)
+            k2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
             z = _moved_13(y, 0.5 * h, k2)
             cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k3 = _device(z, v1_re, v1_im, cz, sz, wind, p)
+            k3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
             z = _moved_13(y, h, k3)
             cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k4 = _device(z, v2_re, v2_im, cz, sz, wind, p)
+            k4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, wind, p)
             y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
             _store_13(x, lane, y)
 
@@ -350,7 +459,7 @@ def advance_ideal(x, n_tones, p, h, n_steps):
 def advance_thevenin(x, n_tones, p, h, n_steps):
     """``n_steps`` steps behind the lane's Thevenin impedance."""
     for _ in range(n_steps):
-        _source_of_step(x, n_tones)
+        _source_of_step(x, n_tones, False)
         for lane in range(LANES):
             wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
             v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
@@ -387,32 +496,141 @@ def advance_thevenin(x, n_tones, p, h, n_steps):
             x[I_G_RE * LANES + lane], x[I_G_IM * LANES + lane] = y[I_G_RE], y[I_G_IM]
 
 
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_ideal_compensated(x, n_tones, p, h, n_steps):
+    """`advance_ideal` with the lanes' compensation before the controller."""
+    half = math.exp(-0.5 * h / (p.r_f_ohm * p.c_f_f))
+    half_re, half_im = half * math.cos(0.5 * p.w1_rad_s * h), -half * math.sin(0.5 * p.w1_rad_s * h)
+    for _ in range(n_steps):
+        _source_of_step(x, n_tones, True)
+        for lane in range(LANES):
+            wind, block = x[WIND * LANES + lane], _load_4(x, COMP_R, lane)
+            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+            y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
+            # Shunt: exact forced response plus the decaying rest of what went before.
+            c0_re, c0_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
+            rest_re, rest_im = c0_re - x[(SOURCE + 6) * LANES + lane], c0_im - x[(SOURCE + 7) * LANES + lane]
+            rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
+            c1_re, c1_im = x[(SOURCE + 10) * LANES + lane] + rest_re, x[(SOURCE + 11) * LANES + lane] + rest_im
+            rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
+            c2_re, c2_im = x[(SOURCE + 8) * LANES + lane] + rest_re, x[(SOURCE + 9) * LANES + lane] + rest_im
+            x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = c2_re, c2_im
+            _listen(
+                x,
+                lane,
+                v0_re,
+                v0_im,
+                y[I_L_RE] - (v0_re - c0_re) / p.r_f_ohm,
+                y[I_L_IM] - (v0_im - c0_im) / p.r_f_ohm,
+            )
+            c, s = _cos_sin(y[DELTA])
+            k1, m1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, wind, block, p)
+            z, o = _moved_13(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k2, m2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
+            z, o = _moved_13(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k3, m3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
+            z, o = _moved_13(y, h, k3), _moved_4(n, h, m3)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k4, m4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, wind, block, p)
+            y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+            n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
+            _store_13(x, lane, y)
+            _store_4(x, NOTCH, lane, n)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_thevenin_compensated(x, n_tones, p, h, n_steps):
+    """`advance_thevenin` with the lanes' compensation before the controller, and their fault at the PCC."""
+    turn_re, turn_im = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
+    for _ in range(n_steps):
+        _source_of_step(x, n_tones, False)
+        for lane in range(LANES):
+            constants = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+            block = _load_4(x, COMP_R, lane)
+            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+            share, re, im = (
+                x[FAULT_SHARE * LANES + lane],
+                x[FAULT_SKEW_RE * LANES + lane],
+                x[FAULT_SKEW_IM * LANES + lane],
+            )
+            fault_0 = share, re, im
+            re, im = re * turn_re - im * turn_im, im * turn_re + re * turn_im
+            fault_1 = share, re, im
+            re, im = re * turn_re - im * turn_im, im * turn_re + re * turn_im
+            fault_2 = share, re, im
+            x[FAULT_SKEW_RE * LANES + lane], x[FAULT_SKEW_IM * LANES + lane] = re, im
+            y, n = _load_13(x, lane) + _load_4(x, V_C_RE, lane), _load_4(x, NOTCH, lane)
+            v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(y, fault_0, p)
+            _listen(x, lane, v_pcc_re, v_pcc_im, y[I_L_RE] - i_f_re, y[I_L_IM] - i_f_im)
+            c, s = _cos_sin(y[DELTA])
+            k1, m1 = _grid_compensated(y, n, v0_re, v0_im, fault_0, c, s, constants, block, p)
+            z, o = _moved_17(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k2, m2 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
+            z, o = _moved_17(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k3, m3 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
+            z, o = _moved_17(y, h, k3), _moved_4(n, h, m3)
+            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+            k4, m4 = _grid_compensated(z, o, v2_re, v2_im, fault_2, cz, sz, constants, block, p)
+            y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+            n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
+            _store_13(x, lane, y)
+            _store_4(x, V_C_RE, lane, y[V_C_RE:])
+            _store_4(x, NOTCH, lane, n)
+
+
 @njit(nogil=True, cache=True)
-def advance(x, ideal, n_tones, p, h, n_steps):
+def advance(x, ideal, compensated, n_tones, p, h, n_steps):
     """``n_steps`` steps of all lanes, with an ideal source or behind the lanes' impedances."""
-    if ideal:
+    if compensated:
+        if ideal:
+            advance_ideal_compensated(x, n_tones, p, h, n_steps)
+        else:
+            advance_thevenin_compensated(x, n_tones, p, h, n_steps)
+    elif ideal:
         advance_ideal(x, n_tones, p, h, n_steps)
     else:
         advance_thevenin(x, n_tones, p, h, n_steps)
 
 
 @njit(nogil=True, cache=True)
-def advance_blocks(x, ideal, n_tones, p, h, block_steps, sums):
+def advance_blocks(x, ideal, compensated, n_tones, p, h, block_steps, sums):
     """Advance by blocks; ``sums[block, quantity, lane]`` receives each block's eight sums."""
     for block in range(sums.shape[0]):
         for i in range(8 * LANES):
             x[SUM_V * LANES + i] = 0.0
-        advance(x, ideal, n_tones, p, h, block_steps)
+        advance(x, ideal, compensated, n_tones, p, h, block_steps)
         for quantity in range(8):
             for lane in range(LANES):
                 sums[block, quantity, lane] = x[(SUM_V + quantity) * LANES + lane]
 
 
 @njit(nogil=True, cache=True)
-def advance_recording(x, ideal, n_tones, p, h, samples):
+def advance_recording(x, ideal, compensated, n_tones, p, h, samples):
     """Advance step by step; ``samples[step, quantity, lane]`` receives v and i before each step."""
     for step in range(samples.shape[0]):
-        advance(x, ideal, n_tones, p, h, 1)
+        advance(x, ideal, compensated, n_tones, p, h, 1)
         for quantity in range(4):
             for lane in range(LANES):
                 samples[step, quantity, lane] = x[(V_RE + quantity) * LANES + lane]
+
+
+@njit(nogil=True, cache=True)
+def advance_tracing(x, p, h, sample_steps, samples):
+    """Advance behind the grid, compensated; ``samples[k]`` is the first lane before each ``sample_steps`` steps.
+
+    Columns: v_pcc (re, im), i_g (re, im), v_dc, w_m, delta.
+    """
+    for k in range(samples.shape[0]):
+        samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
+        advance_thevenin_compensated(x, 0, p, h, 1)
+        for quantity in range(4):
+            samples[k, quantity] = x[(V_RE + quantity) * LANES]
+        advance_thevenin_compensated(x, 0, p, h, sample_steps - 1)
