@@ -1,0 +1,82 @@
+"""The operating point that belongs to a grid, found on the black box itself.
+
+The device is settled on ideal sources of trial voltages and its fundamental current is read at the
+terminals; the voltage is right where ``|v_pcc + Z_grid i| = |v_g|``. No look inside, and it works
+where the closed loop is unstable.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..identify.fourier import line
+from ..plant.protocol import Job, NotSettled, OperatingPoint, Plant, Source
+from .grid import coherent_block
+from .plan import Condition, Grid
+
+TOLERANCE = 1e-10
+"""Mismatch of the source voltage accepted, relative."""
+
+MAX_TRIALS = 30
+
+
+def reached(plant: Plant, source: Source, condition: Condition) -> tuple[Source, OperatingPoint]:
+    """Source and operating point for `Plant.settle`: a grid's voltage is turned into |v_pcc|.
+
+    A Thevenin source of a condition with its own grid *is* that grid.
+
+    Raises
+    ------
+    NotSettled
+        If the grid cannot carry the power.
+    """
+    if condition.grid is None:
+        return source, OperatingPoint(condition.active_power_w, condition.terminal_voltage_v)
+    voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid)
+    if source.kind == "thevenin":
+        source = Source("thevenin", condition.grid.r_ohm, condition.grid.l_h)
+    return source, OperatingPoint(condition.active_power_w, voltage_v)
+
+
+def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid) -> float:
+    """|v_pcc| (V, line-to-line RMS) at which the device is in equilibrium with ``grid``: the upper one.
+
+    Secant steps from the top of the plant's range downwards.
+
+    Raises
+    ------
+    NotSettled
+        If no voltage in the plant's range satisfies the grid.
+    """
+    low, high = plant.operating_range.terminal_voltage_v
+    z = grid.r_ohm + 2j * np.pi * plant.f1_hz * grid.l_h
+
+    def excess(v: float) -> float:
+        return abs(v + z * _current(plant, active_power_w, v)) - grid.voltage_v
+
+    before, now = min(high, 1.02 * grid.voltage_v), min(high, grid.voltage_v) * 0.999
+    f_before, f_now = excess(before), excess(now)
+    for _ in range(MAX_TRIALS):
+        if abs(f_now) <= TOLERANCE * grid.voltage_v:
+            return now
+        slope = (f_now - f_before) / (now - before)
+        if slope <= 0.0:
+            break
+        step = float(np.clip(-f_now / slope, -0.1 * now, 0.1 * now))
+        before, f_before, now = now, f_now, min(high, now + step)
+        if not low <= now or now == before:
+            break
+        f_now = excess(now)
+    raise NotSettled(
+        f"the grid of {z.real:.4g} + j{z.imag:.4g} ohm at {grid.voltage_v:.4g} V has no operating point with "
+        f"{active_power_w / 1e6:.4g} MW and |v_pcc| between {low:.4g} and {high:.4g} V"
+    )
+
+
+def _current(plant: Plant, active_power_w: float, voltage_v: float) -> complex:
+    """Fundamental current (A, line-to-line-RMS convention, load direction), v_pcc at angle zero."""
+    state = plant.settle(OperatingPoint(active_power_w, voltage_v), Source())
+    steps = coherent_block(plant.f1_hz, plant.dt_s).steps
+    ((_, record),) = plant.run([Job(state, None)], steps)
+    v, i = (line(x, plant.f1_hz, record.t0_s, record.dt_s) for x in (record.v, record.i))
+    return complex(1.5**0.5 * i * abs(v) / v)

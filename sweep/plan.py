@@ -1,0 +1,293 @@
+"""The plan as data: every shot of a campaign, printable and countable before anything runs.
+
+A shot is one experiment: one operating point, one injected frequency. A point needs two of them, at
+f and at its mirror 2 f1 - f. Points are gathered into batches, the unit of work and of what is kept
+on disk; which points share a batch follows from the plan alone, never from how it is run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+from ..identify.table import content_hash
+from ..plant.protocol import (
+    Injection,
+    InjectionKind,
+    OperatingPoint,
+    PhasorPlant,
+    Plant,
+    Source,
+    Tone,
+    reactance_to_inductance,
+)
+from ..plant.registry import PlantSpec, fingerprint
+from .config import Config, OperatingPointSection
+from .grid import Block, Frequency, coherent_block, generated, listed
+
+RESULT_VERSION = 1
+"""Part of every hash: raise it when the same shot gives another number."""
+
+EXPECTED_WINDOWS = 2.3
+"""Windows of a shot until two agree, as a guess before it has run (reference turbine: 2.0 to 3.3)."""
+
+
+class PlanError(ValueError):
+    """A campaign that this plant cannot run, with the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The Thevenin grid of one operating point: source voltage (V, line-to-line RMS) and impedance."""
+
+    r_ohm: float
+    l_h: float
+    voltage_v: float
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """An operating point as the plan knows it; |v_pcc| is None where the grid decides it."""
+
+    op_id: str
+    active_power_w: float
+    terminal_voltage_v: float | None
+    grid: Grid | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One experiment.
+
+    Attributes
+    ----------
+    op_id : str
+        Operating point.
+    f_hz : float
+        The point it serves (Hz).
+    injected_hz : float
+        Signed frequency of the tone: ``f_hz`` or its mirror (Hz).
+    amplitude : float
+        Phase peak (V or A).
+    window_blocks : int
+        Blocks of one window.
+    """
+
+    op_id: str
+    f_hz: float
+    injected_hz: float
+    amplitude: float
+    window_blocks: int
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Points of one operating point that are measured together.
+
+    Attributes
+    ----------
+    condition : Condition
+        Operating point.
+    points : tuple of Frequency
+        Neighbours in window length, not in frequency.
+    key : str
+        Hash of everything the result depends on: the name of its shard.
+    """
+
+    condition: Condition
+    points: tuple[Frequency, ...]
+    key: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything a campaign will do.
+
+    Attributes
+    ----------
+    spec : PlantSpec
+        The plant by name.
+    plant_fingerprint : mapping
+        What it is, for hashes and metadata.
+    f1_hz, dt_s : float
+        Fundamental (Hz) and step (s) of the plant.
+    block : Block
+        The unit in which windows are cut.
+    points : tuple of Frequency
+        Ascending.
+    conditions : tuple of Condition
+        Operating points in campaign order.
+    source : Source
+        What feeds the PCC.
+    kind : "series_voltage" or "shunt_current"
+        How it is perturbed.
+    amplitude : float
+        Peak of a tone (V or A).
+    amplitude_pu, tolerance, max_simulated_s : float
+        From the configuration.
+    batch_points : int
+        Points of a batch.
+    configuration : mapping
+        The whole configuration, as it is stored.
+    warnings : tuple of str
+        What the user should know before it runs.
+    """
+
+    spec: PlantSpec
+    plant_fingerprint: Mapping[str, Any]
+    f1_hz: float
+    dt_s: float
+    block: Block
+    points: tuple[Frequency, ...]
+    conditions: tuple[Condition, ...]
+    source: Source
+    kind: InjectionKind
+    amplitude: float
+    amplitude_pu: float
+    tolerance: float
+    max_simulated_s: float
+    batch_points: int
+    configuration: Mapping[str, Any]
+    warnings: tuple[str, ...] = field(default=())
+
+    def shots(self) -> Iterator[Shot]:
+        """Every experiment, in campaign order."""
+        for condition in self.conditions:
+            for point in self.points:
+                yield from self.shots_of(condition, point)
+
+    def shots_of(self, condition: Condition, point: Frequency) -> tuple[Shot, Shot]:
+        """The two experiments of one point: at f, and at the mirror 2 f1 - f."""
+        f, mirror = point.f_hz, 2.0 * self.f1_hz - point.f_hz
+        direct, mirrored = (Shot(condition.op_id, f, at, self.amplitude, point.window_blocks) for at in (f, mirror))
+        return direct, mirrored
+
+    def injection(self, shot: Shot) -> Injection:
+        """The perturbation of a shot."""
+        return Injection(self.kind, (Tone(shot.injected_hz, shot.amplitude),))
+
+    @cached_property
+    def n_shots(self) -> int:
+        """Number of experiments."""
+        return 2 * len(self.conditions) * len(self.points)
+
+    @cached_property
+    def simulated_s(self) -> float:
+        """Simulated seconds to expect."""
+        blocks = sum(point.window_blocks for point in self.points)
+        return 2 * len(self.conditions) * EXPECTED_WINDOWS * blocks * self.block.duration_s
+
+    def batches(self) -> Iterator[Batch]:
+        """Work in the order in which it is best begun: longest windows first, per operating point."""
+        by_length = sorted(self.points, key=lambda point: (-point.window_blocks, point.f_hz))
+        groups = [tuple(by_length[k : k + self.batch_points]) for k in range(0, len(by_length), self.batch_points)]
+        for condition in self.conditions:
+            for group in groups:
+                yield Batch(condition, group, self._key(condition, group))
+
+    def _key(self, condition: Condition, points: tuple[Frequency, ...]) -> str:
+        return content_hash(
+            {
+                "version": RESULT_VERSION,
+                "plant": dict(self.plant_fingerprint),
+                "source": asdict(self.source),
+                "kind": self.kind,
+                "tolerance": self.tolerance,
+                "max_simulated_s": self.max_simulated_s,
+                "condition": asdict(condition),
+                "points": [asdict(point) for point in points],
+                "shots": [asdict(shot) for point in points for shot in self.shots_of(condition, point)],
+            }
+        )
+
+
+def make_plan(config: Config, plant: Plant) -> Plan:
+    """What ``config`` asks of ``plant``, checked; nothing runs.
+
+    Raises
+    ------
+    PlanError
+        If an operating point is outside the plant's range.
+    GridError
+        If frequencies are unusable.
+    """
+    spec = PlantSpec(config.plant.id, config.plant.parameters)
+    points, warnings = _points(config, plant)
+    conditions = tuple(_condition(section, plant) for section in config.operating_point)
+    _check_range(conditions, plant)
+    voltage_like = config.injection.kind == "series_voltage"
+    peak = plant.rating.peak_voltage_v if voltage_like else plant.rating.peak_current_a
+    source = Source(
+        config.source.kind,
+        config.source.r_ohm,
+        reactance_to_inductance(config.source.x_ohm, plant.f1_hz),
+    )
+    return Plan(
+        spec=spec,
+        plant_fingerprint=fingerprint(plant, spec),
+        f1_hz=plant.f1_hz,
+        dt_s=plant.dt_s,
+        block=coherent_block(plant.f1_hz, plant.dt_s),
+        points=tuple(points),
+        conditions=conditions,
+        source=source,
+        kind=config.injection.kind,
+        amplitude=config.injection.amplitude_pu * peak,
+        amplitude_pu=config.injection.amplitude_pu,
+        tolerance=config.sweep.tolerance,
+        max_simulated_s=config.sweep.max_simulated_s,
+        batch_points=_batch_points(len(points), len(conditions), plant),
+        configuration=config.to_dict(),
+        warnings=tuple(warnings),
+    )
+
+
+def _points(config: Config, plant: Plant) -> tuple[list[Frequency], list[str]]:
+    sweep = config.sweep
+    if sweep.f_hz is not None:
+        return listed(sweep.f_hz, plant.f1_hz, plant.dt_s)
+    assert sweep.f_min_hz is not None
+    assert sweep.f_max_hz is not None
+    assert sweep.points is not None
+    points = generated(sweep.f_min_hz, sweep.f_max_hz, sweep.points, sweep.spacing, plant.f1_hz, plant.dt_s)
+    fewer = f"the grid has {len(points)} points instead of {sweep.points}: neighbours met when they were snapped"
+    return points, [fewer] if len(points) < sweep.points else []
+
+
+def _condition(section: OperatingPointSection, plant: Plant) -> Condition:
+    power_w, u = section.active_power_mw * 1e6, plant.rating.voltage_v
+    if section.grid is None:
+        assert section.terminal_voltage_pu is not None
+        return Condition(section.id, power_w, section.terminal_voltage_pu * u)
+    g = section.grid
+    grid = Grid(g.r_ohm * g.scale, reactance_to_inductance(g.x_ohm * g.scale, plant.f1_hz), g.voltage_pu * u)
+    return Condition(section.id, power_w, None, grid)
+
+
+def _check_range(conditions: tuple[Condition, ...], plant: Plant) -> None:
+    power, voltage = plant.operating_range.active_power_w, plant.operating_range.terminal_voltage_v
+    u = plant.rating.voltage_v
+    for condition in conditions:
+        named = [("active_power_mw", condition.active_power_w / 1e6, power[0] / 1e6, power[1] / 1e6, "MW")]
+        if condition.terminal_voltage_v is not None:
+            named.append(("terminal_voltage_pu", condition.terminal_voltage_v / u, voltage[0] / u, voltage[1] / u, "pu"))
+        for key, value, low, high, unit in named:
+            if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
+                raise PlanError(
+                    f"operating point {condition.op_id!r}: {key} = {value:g} {unit} is outside the operating range of "
+                    f"{plant.id}, {low:g} to {high:g} {unit}"
+                )
+
+
+def _batch_points(n_points: int, n_conditions: int, plant: Plant) -> int:
+    """Small batches keep two cores busy and lose little; big ones settle and store less often."""
+    if not isinstance(plant, PhasorPlant):
+        return 1
+    return 8 if n_points * n_conditions <= 1000 else 50
+
+
+def operating_point(condition: Condition) -> OperatingPoint:
+    """The condition as the plant takes it."""
+    return OperatingPoint(condition.active_power_w, condition.terminal_voltage_v)
