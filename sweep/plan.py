@@ -34,6 +34,10 @@ EXPECTED_WINDOWS = 2.3
 """Windows of a shot until two agree, as a guess before it has run (reference turbine: 2.0 to 3.3)."""
 
 
+ALIKE = 0.6
+"""Shortest window of a batch in parts of its longest: points of a batch run equally long."""
+
+
 class PlanError(ValueError):
     """A campaign that this plant cannot run, with the way out."""
 
@@ -181,8 +185,7 @@ class Plan:
 
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
-        by_length = sorted(self.points, key=lambda point: (-point.window_blocks, point.f_hz))
-        groups = [tuple(by_length[k : k + self.batch_points]) for k in range(0, len(by_length), self.batch_points)]
+        groups = _alike(self.points, self.batch_points)
         for condition in self.conditions:
             for group in groups:
                 yield Batch(condition, group, self._key(condition, group))
@@ -279,6 +282,18 @@ def _check_range(conditions: tuple[Condition, ...], plant: Plant) -> None:
                     f"operating point {condition.op_id!r}: {key} = {value:g} {unit} is outside the operating range of "
                     f"{plant.id}, {low:g} to {high:g} {unit}"
                 )
+
+
+def _alike(points: tuple[Frequency, ...], most: int) -> list[tuple[Frequency, ...]]:
+    """Groups of up to ``most`` points, longest windows first; none is much shorter than its group's longest."""
+    groups: list[list[Frequency]] = []
+    for point in sorted(points, key=lambda point: (-point.window_blocks, point.f_hz)):
+        fits = groups and len(groups[-1]) < most and point.window_blocks >= ALIKE * groups[-1][0].window_blocks
+        if fits:
+            groups[-1].append(point)
+        else:
+            groups.append([point])
+    return [tuple(group) for group in groups]
 
 
 def _batch_points(n_points: int, n_conditions: int, plant: Plant) -> int:
