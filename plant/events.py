@@ -1,0 +1,412 @@
+"""A device in time: grid steps, faults, wind and power steps, with and without damping control.
+
+`simulate` drives any plant with a measurement port (`MeasuredPlant`) through a `Scenario` and looks
+at its current all 2 ms, as the damping control would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import inf, pi
+from typing import Any, Literal
+
+import numpy as np
+
+from . import damping as control
+from .damping import DampingSettings, DampingState, Measurement
+from .estimator import SAMPLE_S, WINDOW_S, Resonance, block_means, matrix_pencil
+from .protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Record, Source, Trace
+
+FaultKind = Literal["a-b-c", "a-g", "b-c", "b-c-g"]
+
+
+@dataclass(frozen=True, slots=True)
+class GridStep:
+    """From ``time_s`` on the grid has ``scale`` times the scenario's impedance."""
+
+    time_s: float
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class TurbineStep:
+    """From ``time_s`` on ``count`` equal turbines share the grid; see `Scenario.turbines`."""
+
+    time_s: float
+    count: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A short circuit at the PCC through ``r_ohm`` per faulted phase (b-c: between the phases)."""
+
+    time_s: float
+    duration_s: float
+    kind: FaultKind
+    r_ohm: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class WindStep:
+    """From ``time_s`` on the wind blows at ``wind_m_s``."""
+
+    time_s: float
+    wind_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PowerStep:
+    """From ``time_s`` on the power reference is that of ``active_power_w`` at the initial rotor speed.
+
+    The device's law for its power is scaled by ``active_power_w`` over the initial power; as the rotor
+    then changes speed, power follows the scaled law.
+    """
+
+    time_s: float
+    active_power_w: float
+
+
+Event = GridStep | TurbineStep | Fault | WindStep | PowerStep
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One device on one grid, and what happens to it.
+
+    Attributes
+    ----------
+    active_power_w : float
+        Active power at the beginning (W); the state is the periodic one, stable or not.
+    r_ohm, l_h : float
+        Series impedance of the grid as one turbine sees it (ohm, H), at scale 1.
+    source_voltage_v : float
+        Fixed voltage behind it, line-to-line RMS (V).
+    events : tuple of Event
+        In any order; faults must not overlap.
+    scale : float
+        Factor on the impedance at the beginning.
+    turbines : float
+        Equal turbines that share the grid at the beginning; with n of them each sees n / ``turbines``
+        times the impedance. One aggregated turbine stands for all: it is *per turbine* throughout.
+    """
+
+    active_power_w: float
+    r_ohm: float
+    l_h: float
+    source_voltage_v: float
+    events: tuple[Event, ...] = ()
+    scale: float = 1.0
+    turbines: float = 1.0
+
+    def __post_init__(self) -> None:
+        faults = sorted((e for e in self.events if isinstance(e, Fault)), key=lambda fault: fault.time_s)
+        for event in self.events:
+            _check_event(event)
+        for first, second in pairwise(faults):
+            if second.time_s < first.time_s + first.duration_s:
+                raise ValueError(f"the faults at {first.time_s:g} s and {second.time_s:g} s overlap; give one at a time")
+        if not (self.scale > 0.0 and self.turbines > 0.0):
+            raise ValueError(f"scale and turbines must be positive; got {self.scale:g} and {self.turbines:g}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """What happened. Space vectors are phase-peak, current in load direction.
+
+    Attributes
+    ----------
+    time_s : (n,) float
+        Times (s) of the waveforms; NaN follows where the device left the numbers.
+    v, i : (n,) complex
+        PCC voltage (V) and current (A).
+    v_dc_v, rotor_rad_s, sync_rad : (n,) float
+        DC link (V), rotor speed (rad/s), synchronisation ahead of the source voltage (rad).
+    f1_hz : float
+        Fundamental (Hz).
+    decision_s : (m,) float
+        Times (s) of the estimates and decisions below, every 2 ms.
+    resonance : (m,) tuple of Resonance
+        Estimates over the 150 ms before; NaN while blocked or not yet full again.
+    blocked, active : (m,) bool
+        |v_pcc| too low to judge; damping control started and not yet stopped.
+    lost_s : float or None
+        When the PLL was half a turn from the source: synchronism lost (s).
+    """
+
+    time_s: np.ndarray
+    v: np.ndarray
+    i: np.ndarray
+    v_dc_v: np.ndarray
+    rotor_rad_s: np.ndarray
+    sync_rad: np.ndarray
+    f1_hz: float
+    decision_s: np.ndarray
+    resonance: tuple[Resonance, ...]
+    blocked: np.ndarray
+    active: np.ndarray
+    lost_s: float | None
+
+    @property
+    def p_w(self) -> np.ndarray:
+        """Active power out of the device at the PCC (W)."""
+        return -1.5 * (self.v * self.i.conj()).real
+
+    @property
+    def q_var(self) -> np.ndarray:
+        """Reactive power out of the device at the PCC (var)."""
+        return -1.5 * (self.v * self.i.conj()).imag
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """r(t) = A_r / A_0 at the decisions."""
+        return np.array([found.ratio for found in self.resonance])
+
+    @property
+    def resonance_hz(self) -> np.ndarray:
+        """Signed frequency of the stronger component at the decisions (Hz)."""
+        return np.array([found.f_hz for found in self.resonance])
+
+    @property
+    def resonance_a(self) -> np.ndarray:
+        """Magnitude A_r of the stronger component at the decisions (A, phase peak)."""
+        return np.array([found.amplitude for found in self.resonance])
+
+    @property
+    def growth_per_s(self) -> np.ndarray:
+        """Its growth at the decisions (1/s)."""
+        return np.array([found.growth_per_s for found in self.resonance])
+
+    @property
+    def started_s(self) -> tuple[float, ...]:
+        """When damping control started (s)."""
+        return tuple(self.decision_s[np.flatnonzero(np.diff(self.active.astype(int), prepend=0) == 1)].tolist())
+
+    @property
+    def stopped_s(self) -> tuple[float, ...]:
+        """When damping control stopped (s)."""
+        return tuple(self.decision_s[np.flatnonzero(np.diff(self.active.astype(int), prepend=0) == -1)].tolist())
+
+
+def simulate(
+    plant: Plant,
+    scenario: Scenario,
+    damping: DampingSettings | None,
+    duration_s: float,
+    *,
+    on_from_s: float | None = None,
+    cause_gone: Callable[[Conditions], bool] | None = None,
+) -> Trajectory:
+    """Drive ``plant`` through ``scenario``.
+
+    Parameters
+    ----------
+    plant : Plant
+        One with a measurement port (`MeasuredPlant`).
+    scenario : Scenario
+        Where it begins and what happens.
+    damping : DampingSettings or None
+        The damping control; None leaves the port alone, the resonance is watched all the same.
+    duration_s : float
+        Simulated time (s).
+    on_from_s : float, optional
+        Switch damping on at this time, whatever its own logic says.
+    cause_gone : callable, optional
+        Says for given conditions whether the device is stable on them without damping; asked when the
+        conditions change, and never during a fault. Damping control stops where it says yes.
+
+    Raises
+    ------
+    ValueError
+        If the plant has no measurement port, its step does not divide 2 ms, or its own damping is on.
+    NotSettled
+        If there is no initial state.
+    """
+    port = _with_port(plant)
+    n_block = _steps_of(SAMPLE_S, port.dt_s)
+    n_blocks = _steps_of(duration_s, SAMPLE_S)
+    settings = damping or _WATCH
+    state = port.equilibrium(OperatingPoint(scenario.active_power_w, None), _source(scenario))
+    memory = _memory_at_rest(port, state, scenario, settings)
+    pieces: list[Trace] = []
+    memories: list[DampingState] = []
+    verdict = _remembered(cause_gone)
+    for block in range(n_blocks):
+        time_s = block * SAMPLE_S
+        if on_from_s is not None and damping is not None and time_s >= on_from_s - 1e-9:
+            memory = _switched_on(settings, memory)
+        compensation = control.output(settings, memory) if damping else None
+        traces = []
+        for conditions, n_steps in _stretches(scenario, block * n_block, n_block, port.dt_s):
+            state, trace = port.trace(state, replace(conditions, compensation=compensation), n_steps)
+            traces.append(trace)
+        pieces += traces
+        if not np.isfinite(traces[-1].v_dc_v[-1]):
+            break
+        gone = verdict(conditions_at(scenario, time_s + SAMPLE_S))
+        memory = control.decide(settings, memory, _measured(port, traces, time_s + SAMPLE_S, gone))
+        memories.append(memory)
+    return _trajectory(port, pieces, memories, n_blocks * n_block, damping is not None)
+
+
+def conditions_at(scenario: Scenario, time_s: float) -> Conditions:
+    """What surrounds the device from ``time_s`` on, until the next event."""
+    past = sorted((e for e in scenario.events if e.time_s <= time_s + 1e-9), key=lambda event: event.time_s)
+    scale, turbines, wind_m_s, power_w = scenario.scale, scenario.turbines, None, scenario.active_power_w
+    fault_s = (0.0, 0.0, 0.0)
+    for event in past:
+        match event:
+            case GridStep():
+                scale = event.scale
+            case TurbineStep():
+                turbines = event.count
+            case WindStep():
+                wind_m_s = event.wind_m_s
+            case PowerStep():
+                power_w = event.active_power_w
+            case Fault():
+                over = event.time_s + event.duration_s <= time_s + 1e-9
+                fault_s = (0.0, 0.0, 0.0) if over else fault_conductance(event.kind, event.r_ohm)
+    factor = scale * turbines / scenario.turbines
+    return Conditions(
+        r_ohm=factor * scenario.r_ohm,
+        l_h=factor * scenario.l_h,
+        fault_s=fault_s,
+        wind_m_s=wind_m_s,
+        power_scale=power_w / scenario.active_power_w,
+    )
+
+
+def fault_conductance(kind: FaultKind, r_ohm: float) -> tuple[float, float, float]:
+    """Conductance on (alpha, beta) of a short circuit: alpha-alpha, alpha-beta, beta-beta (S).
+
+    Three wires: the fault's zero-sequence current closes through ground and meets no voltage, v_0 = 0.
+    A conductance g from phase a to ground draws i_alpha = 2/3 g v_alpha; b and c to ground draw
+    i_alpha = 1/3 g v_alpha and i_beta = g v_beta; g between b and c draws i_beta = 2 g v_beta.
+    """
+    g = 1.0 / r_ohm
+    per_kind: dict[FaultKind, tuple[float, float, float]] = {
+        "a-b-c": (g, 0.0, g),
+        "a-g": (2.0 / 3.0 * g, 0.0, 0.0),
+        "b-c": (0.0, 0.0, 2.0 * g),
+        "b-c-g": (1.0 / 3.0 * g, 0.0, g),
+    }
+    return per_kind[kind]
+
+
+def resonance_between(trajectory: Trajectory, from_s: float, to_s: float) -> Resonance:
+    """Resonance of the current between two times; the amplitudes are those at ``to_s``."""
+    first, last = np.searchsorted(trajectory.time_s, (from_s - 1e-9, to_s - 1e-9))
+    n_block = _steps_of(SAMPLE_S, float(trajectory.time_s[1] - trajectory.time_s[0]))
+    return matrix_pencil(block_means(trajectory.i[first:last], n_block), SAMPLE_S, trajectory.f1_hz)
+
+
+# ---------------------------------------------------------------------- pieces of a simulation
+
+
+_WATCH = DampingSettings(k=0.0, r_ohm=0.0, l_h=0.0, resonance_hz=None)
+
+
+def _check_event(event: Event) -> None:
+    if not 0.0 <= event.time_s < inf:
+        raise ValueError(f"an event needs a time from 0 s on; got {event.time_s:g} s")
+    for name in ("scale", "count", "wind_m_s", "active_power_w", "r_ohm", "duration_s"):
+        value = getattr(event, name, 1.0)
+        if not 0.0 < value < inf:
+            raise ValueError(f"{name} of the event at {event.time_s:g} s must be positive; got {value:g}")
+    if isinstance(event, Fault) and event.kind not in ("a-b-c", "a-g", "b-c", "b-c-g"):
+        raise ValueError(f"unknown kind of fault {event.kind!r}; known are 'a-b-c', 'a-g', 'b-c', 'b-c-g'")
+
+
+def _with_port(plant: Plant) -> MeasuredPlant:
+    if not isinstance(plant, MeasuredPlant):
+        raise ValueError(f"{plant.id} has no measurement port: damping control and events need one, see MeasuredPlant")
+    if getattr(plant, "compensation", Compensation()) != Compensation():
+        raise ValueError(f"{plant.id} was made with damping_gain > 0; give DampingSettings to simulate instead")
+    return plant
+
+
+def _steps_of(duration_s: float, step_s: float) -> int:
+    n = round(duration_s / step_s)
+    if n < 1 or abs(n * step_s - duration_s) > 1e-6 * step_s:
+        raise ValueError(f"{duration_s:g} s is not a whole number of steps of {step_s:g} s")
+    return n
+
+
+def _source(scenario: Scenario) -> Source:
+    return Source(
+        "thevenin",
+        scenario.scale * scenario.r_ohm,
+        scenario.scale * scenario.l_h,
+        voltage_v=scenario.source_voltage_v,
+    )
+
+
+def _stretches(scenario: Scenario, first: int, n_steps: int, dt_s: float) -> Iterator[tuple[Conditions, int]]:
+    """The block's stretches of constant conditions, with their numbers of steps."""
+    ends = [event.time_s + getattr(event, "duration_s", 0.0) for event in scenario.events]
+    changes = {round(t / dt_s) for t in [*(event.time_s for event in scenario.events), *ends]}
+    borders = sorted({first, first + n_steps, *(step for step in changes if first < step < first + n_steps)})
+    for start, end in pairwise(borders):
+        yield conditions_at(scenario, (start + 0.5) * dt_s), end - start
+
+
+def _memory_at_rest(port: MeasuredPlant, state: Any, scenario: Scenario, settings: DampingSettings) -> DampingState:
+    """Memory of a device that has been in its initial state for a long time."""
+    _, trace = port.trace(state, conditions_at(replace(scenario, events=()), 0.0), 1)
+    return control.at_rest(
+        0.0, trace.record.v[0] / port.rating.peak_voltage_v, trace.record.i[0], settings.f1_hz
+    )
+
+
+def _measured(port: MeasuredPlant, traces: list[Trace], time_s: float, cause_gone: bool) -> Measurement:
+    v, i = (np.mean(np.concatenate([getattr(t.record, name) for t in traces])) for name in ("v", "i"))
+    return Measurement(time_s, complex(v) / port.rating.peak_voltage_v, complex(i), cause_gone)
+
+
+def _switched_on(settings: DampingSettings, memory: DampingState) -> DampingState:
+    if memory.active:
+        return memory
+    hz = memory.resonance.f_hz if settings.resonance_hz is None else settings.resonance_hz
+    return replace(memory, active=True, resonance_hz=hz)
+
+
+def _remembered(cause_gone: Callable[[Conditions], bool] | None) -> Callable[[Conditions], bool]:
+    """The injected check, asked once for each set of conditions."""
+    answers: dict[Conditions, bool] = {}
+
+    def answer(conditions: Conditions) -> bool:
+        if cause_gone is None or any(conditions.fault_s):
+            return False
+        if conditions not in answers:
+            answers[conditions] = bool(cause_gone(conditions))
+        return answers[conditions]
+
+    return answer
+
+
+def _trajectory(
+    port: MeasuredPlant, pieces: list[Trace], memories: list[DampingState], n_samples: int, damped: bool
+) -> Trajectory:
+    def joined(name: str) -> np.ndarray:
+        x = np.concatenate([getattr(t, name) if hasattr(t, name) else getattr(t.record, name) for t in pieces])
+        return np.concatenate([x, np.full(n_samples - len(x), np.nan, x.dtype)])
+
+    sync_rad = joined("sync_rad")
+    lost = np.flatnonzero(~(np.abs(sync_rad) < pi))
+    time_s = np.arange(n_samples) * port.dt_s
+    return Trajectory(
+        time_s=time_s,
+        v=joined("v"),
+        i=joined("i"),
+        v_dc_v=joined("v_dc_v"),
+        rotor_rad_s=joined("rotor_rad_s"),
+        sync_rad=sync_rad,
+        f1_hz=port.f1_hz,
+        decision_s=SAMPLE_S * np.arange(1, len(memories) + 1),
+        resonance=tuple(memory.resonance for memory in memories),
+        blocked=np.array([memory.blocked for memory in memories], dtype=bool),
+        active=np.array([damped and memory.active for memory in memories], dtype=bool),
+        lost_s=float(time_s[lost[0]]) if len(lost) else None,
+    )
