@@ -127,9 +127,7 @@ def _rows(plant: Plant, plan: Plan, batch: Batch, baseline: _Baseline) -> list[R
     except Exception as error:
         if len(batch.points) == 1:
             return [_failed_row(plan, batch.points[0], "failed", _in_words(error))]
-        return [
-            row for point in batch.points for row in _rows(plant, plan, replace(batch, points=(point,)), baseline)
-        ]
+        return [row for point in batch.points for row in _rows(plant, plan, replace(batch, points=(point,)), baseline)]
 
 
 def _measured(plant: Plant, plan: Plan, batch: Batch, baseline: _Baseline) -> list[Row]:
@@ -274,7 +272,7 @@ def _run(plant: Plant, jobs: list[Job], n_steps: int) -> list[tuple[Any, Record]
 
 def _row(plan: Plan, point: Frequency, pair: tuple[Settled, Settled], phi1: float, plant: Plant) -> Row:
     v, i = np.array([s.v for s in pair]), np.array([s.i for s in pair])
-    residual, k = max((s.residual, k) for k, s in enumerate(pair)) if _finite(v, i) else (nan, 0)
+    residual = max(s.residual for s in pair) if _finite(v, i) else nan
     status, reason = _judge_response(plan, point, pair, v, i, plant)
     if status != "ok":
         return replace(_failed_row(plan, point, status, reason), residual=residual if isfinite(residual) else nan)

@@ -275,7 +275,9 @@ def _check_range(conditions: tuple[Condition, ...], plant: Plant) -> None:
     for condition in conditions:
         named = [("active_power_mw", condition.active_power_w / 1e6, power[0] / 1e6, power[1] / 1e6, "MW")]
         if condition.terminal_voltage_v is not None:
-            named.append(("terminal_voltage_pu", condition.terminal_voltage_v / u, voltage[0] / u, voltage[1] / u, "pu"))
+            named.append(
+                ("terminal_voltage_pu", condition.terminal_voltage_v / u, voltage[0] / u, voltage[1] / u, "pu")
+            )
         for key, value, low, high, unit in named:
             if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
                 raise PlanError(

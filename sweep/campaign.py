@@ -1,0 +1,249 @@
+"""The campaign runner: batches through joblib, shards on the way, the table at the end.
+
+The only module that knows joblib. The worker is one pure function, `measure`; everything that is
+kept is written by the runner, so that workers may be threads, processes or other machines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..identify.response import FrequencyResponse
+from ..identify.table import QUALITY, write_table
+from ..plant.protocol import Plant
+from ..plant.registry import PlantSpec, releases_gil
+from . import shards
+from .measure import BatchResult, Row, measure
+from .plan import Batch, Condition, Plan
+
+Report = Callable[[int, int], None]
+"""Called with (points done, points in all) whenever a batch is kept."""
+
+RESTARTS = 3
+"""How often a pool that lost a worker is started anew before the batch is given up."""
+
+
+class RunError(ValueError):
+    """A run that cannot begin as it was called."""
+
+
+class Outcome(NamedTuple):
+    """What a run left behind: rows by status."""
+
+    statuses: dict[str, int]
+
+    @property
+    def all_ok(self) -> bool:
+        return set(self.statuses) <= {"ok"}
+
+
+def run(
+    plan: Plan,
+    plant: Plant,
+    output: Path,
+    *,
+    jobs: int,
+    backend: str | None = None,
+    scheduler: str | None = None,
+    report: Report = lambda done, total: None,
+) -> Outcome:
+    """Measure every point of ``plan`` and write the table to ``output``; go on where a run was ended.
+
+    Parameters
+    ----------
+    plan, plant
+        What is asked, and of whom.
+    output : path
+        The Parquet table; shards are kept in ``OUTPUT.parts`` until it is written.
+    jobs : int
+        Workers.
+    backend : "threading", "loky", "dask" or None
+        None: threads for plants that release the interpreter lock, processes for others.
+    scheduler : str or None
+        Address of a dask scheduler; None starts a local cluster.
+    report : callable
+        Progress.
+
+    Raises
+    ------
+    OutputInUse
+        If another run writes this output.
+    OSError
+        If the machine refuses; what was measured stays in the shards.
+    """
+    backend = backend or ("threading" if releases_gil(plant) else "loky")
+    folder = shards.folder_of(output)
+    with shards.locked(folder):
+        _measure_missing(plan, plant, folder, jobs, backend, scheduler, report)
+        outcome = _assemble(plan, plant, folder, output)
+        shards.remove(folder)
+    return outcome
+
+
+def _measure_missing(
+    plan: Plan, plant: Plant, folder: Path, jobs: int, backend: str, scheduler: str | None, report: Report
+) -> None:
+    """Bring every shard of the plan into the folder."""
+    total = len(plan.conditions) * len(plan.points)
+    missing = [batch for batch in plan.batches() if shards.read(folder, batch.key) is None]
+    done = total - sum(len(batch.points) for batch in missing)
+    report(done, total)
+    for batch, result in _results(plan, plant, missing, jobs, backend, scheduler):
+        shards.write(folder, batch.key, result)
+        done += len(batch.points)
+        report(done, total)
+
+
+# Workers
+
+
+def _results(
+    plan: Plan, plant: Plant, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
+) -> Iterator[tuple[Batch, BatchResult]]:
+    """Results as they come; a lost worker costs what it was at."""
+    left = {batch.key: batch for batch in batches}
+    for _ in range(1 + RESTARTS):
+        if not left:
+            return
+        try:
+            for key, result in _parallel(plan, plant, list(left.values()), jobs, backend, scheduler):
+                yield left.pop(key), result
+        except _lost_workers(backend):
+            continue
+    if left:
+        raise RunError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left. Run again to go on")
+
+
+def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
+    """What a pool raises when a worker is gone; resolved late, these imports are slow."""
+    if backend == "loky":
+        from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+        return (TerminatedWorkerError,)
+    if backend == "dask":
+        from distributed.scheduler import KilledWorker
+
+        return (KilledWorker,)
+    return ()
+
+
+def _parallel(
+    plan: Plan, plant: Plant, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
+) -> Iterator[tuple[str, BatchResult]]:
+    from joblib import Parallel, delayed, parallel_config
+
+    share = plant if backend == "threading" else None
+    cluster = _dask_client(jobs, scheduler) if backend == "dask" else nullcontext()
+    with cluster, parallel_config(backend=backend, n_jobs=jobs):
+        pool = Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
+        yield from pool(delayed(_work)(share, plan, batch) for batch in batches)
+
+
+@contextmanager
+def _dask_client(jobs: int, scheduler: str | None) -> Iterator[None]:
+    """A client of the scheduler, or of a cluster of our own with ``jobs`` processes."""
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise RunError("backend dask needs the extra: pip install 'seqsweep[dask]'") from None
+    if scheduler is not None:
+        try:
+            with Client(scheduler, timeout="10s", set_as_default=True):
+                yield
+        except (OSError, TimeoutError) as error:
+            raise RunError(f"no dask scheduler answers at {scheduler}: {error}") from None
+        return
+    with (
+        LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+        Client(cluster, set_as_default=True),
+    ):
+        yield
+
+
+def _work(plant: Plant | None, plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
+    """The task: in a process of its own the plant is made anew from its name."""
+    return batch.key, measure(plant or _made(plan.spec), plan, batch)
+
+
+def _made(spec: PlantSpec) -> Plant:
+    return spec.make()
+
+
+# The table
+
+
+def _assemble(plan: Plan, plant: Plant, folder: Path, output: Path) -> Outcome:
+    """The table from the shards, one operating point in memory at a time."""
+    by_condition = _batches_by_condition(plan)
+    statuses: dict[str, int] = {}
+    write_table(output, _responses(plan, by_condition, folder, statuses), _metadata(plan, plant, by_condition, folder))
+    return Outcome(statuses)
+
+
+def _batches_by_condition(plan: Plan) -> dict[str, list[Batch]]:
+    found: dict[str, list[Batch]] = {condition.op_id: [] for condition in plan.conditions}
+    for batch in plan.batches():
+        found[batch.condition.op_id].append(batch)
+    return found
+
+
+def _responses(
+    plan: Plan, by_condition: dict[str, list[Batch]], folder: Path, statuses: dict[str, int]
+) -> Iterator[FrequencyResponse]:
+    for op_id, batches in by_condition.items():
+        rows = sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz)
+        for row in rows:
+            statuses[row.status] = statuses.get(row.status, 0) + 1
+        yield _response(plan, op_id, rows)
+
+
+def _shard(folder: Path, batch: Batch) -> BatchResult:
+    result = shards.read(folder, batch.key)
+    if result is None:
+        raise OSError(f"{folder}: a shard was damaged or removed after it was written; run again to measure it anew")
+    return result
+
+
+def _response(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyResponse:
+    parts = np.array([row.y for row in rows])
+    return FrequencyResponse(
+        f_hz=np.array([row.f_hz for row in rows]),
+        y=(parts[:, 0::2] + 1j * parts[:, 1::2]).reshape(-1, 2, 2),
+        f1_hz=plan.f1_hz,
+        status=np.array([row.status for row in rows]),
+        reason=np.array([row.reason for row in rows]),
+        quality={name: np.array([getattr(row, name) for row in rows]) for name in QUALITY},
+        meta={"op_id": op_id},
+    )
+
+
+def _metadata(plan: Plan, plant: Plant, by_condition: dict[str, list[Batch]], folder: Path) -> dict[str, Any]:
+    return {
+        "f1_hz": plan.f1_hz,
+        "bases": {"rated_voltage_v": plant.rating.voltage_v, "rated_power_va": plant.rating.power_va},
+        "power_meaning": plant.power_meaning,
+        "operating_points": [
+            _condition_metadata(condition, plant, _shard(folder, by_condition[condition.op_id][0]).condition)
+            for condition in plan.conditions
+        ],
+        "configuration": dict(plan.configuration),
+        "plant": dict(plan.plant_fingerprint),
+    }
+
+
+def _condition_metadata(condition: Condition, plant: Plant, seen: dict[str, float]) -> dict[str, Any]:
+    """An operating point as the table tells of it; |v_pcc| is what was asked, else what was found."""
+    voltage_v = condition.terminal_voltage_v or seen.get("terminal_voltage_v")
+    entry: dict[str, Any] = {
+        "op_id": condition.op_id,
+        "active_power_mw": condition.active_power_w / 1e6,
+        "terminal_voltage_pu": voltage_v / plant.rating.voltage_v if voltage_v else None,
+    }
+    if "settle_residual" in seen:
+        entry["settle_residual"] = seen["settle_residual"]
+    return entry

@@ -1,0 +1,215 @@
+"""The command line. Errors become one message and an exit status here, and nowhere else.
+
+Exit status: 0 done, 1 done but some rows are not ok, 2 the input is wrong, 3 interrupted, 4 the
+machine failed us. What a command needs is imported inside it: ``--help`` must not wait.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ..plant.protocol import Plant
+    from .plan import Plan
+
+OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
+
+app = typer.Typer(
+    name="seqsweep",
+    help="Sweep a converter nobody can look into: its 2x2 sequence admittance, as a table.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign file.")]
+TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A table of this format.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="a.b=c", help="Replace a value of the campaign; repeatable.")
+]
+
+
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    if version:
+        from importlib.metadata import version as version_of
+
+        typer.echo(version_of("seqsweep"))
+        raise typer.Exit
+
+
+@app.command()
+def init(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where to write it.")] = Path("campaign.toml"),
+) -> None:
+    """Write a commented campaign for the reference turbine."""
+    from importlib.resources import files
+
+    if output.exists():
+        raise _WrongInput(f"{output} exists; choose another name with -o")
+    _check_folder(output)
+    output.write_text(files("seqsweep.sweep").joinpath("campaign_template.toml").read_text("utf-8"), "utf-8")
+    typer.echo(f"{output} written; next: seqsweep run {output} -o y.parquet")
+
+
+@app.command()
+def plan(campaign: CampaignFile, settings: Settings = None, jobs: int = os.cpu_count() or 1) -> None:
+    """Print every shot, the simulated seconds and the expected wall time; no shot is fired."""
+    from .plan_text import plan_text
+
+    planned, plant = _planned(campaign, settings)
+    typer.echo(plan_text(planned, plant, jobs))
+
+
+@app.command()
+def run(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
+    backend: Annotated[
+        str | None, typer.Option(help="threading, loky or dask; by default what suits the plant.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A dask scheduler.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Sweep, and write the table. Interrupted, the same command goes on where it was."""
+    if backend not in (None, "threading", "loky", "dask"):
+        raise _WrongInput(f"--backend {backend!r}: known are threading, loky and dask")
+    if scheduler is not None and backend != "dask":
+        raise _WrongInput("--scheduler goes with --backend dask")
+    if output.is_dir():
+        raise _WrongInput(f"{output} is a folder; name a file")
+    if output.exists() and not force:
+        raise _WrongInput(f"{output} exists; --force replaces it")
+    planned, plant = _planned(campaign, settings)
+    _check_folder(output)
+    from .campaign import run as run_campaign
+    from .progress import progress
+
+    with progress() as report:
+        outcome = run_campaign(planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, report=report)
+    counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.statuses.items(), key=lambda item: -item[1]))
+    typer.echo(f"{output}: {counts}", err=True)
+    if not outcome.all_ok:
+        raise typer.Exit(NOT_ALL_OK)
+
+
+@app.command()
+def show(
+    table: TableFile,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode plot: .png, .svg or .pdf.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point to draw.")] = None,
+) -> None:
+    """Summarise a table, and draw its Bode plot."""
+    from .show import summary
+
+    terminal = sys.stdout.isatty()
+    typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
+    if plot is not None:
+        _check_folder(plot)
+        from .plot import bode
+
+        drawn = bode(table, plot, op)
+        typer.echo(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")
+
+
+@app.command()
+def validate(table: TableFile) -> None:
+    """Hold a table against the format; exit status 0 or 2."""
+    from ..identify.table import validate_table
+
+    violations = validate_table(table)
+    for violation in violations:
+        typer.echo(violation, err=True)
+    if violations:
+        raise typer.Exit(WRONG_INPUT)
+    typer.echo(f"{table}: conforms")
+
+
+@app.command()
+def check(plant: Annotated[str, typer.Argument(metavar="PLANT", help="The id of a plant.")]) -> None:
+    """Hold a plant against its promise."""
+    from ..plant.check import check_plant
+    from ..plant.registry import make_plant
+
+    findings = check_plant(make_plant(plant))
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings:
+        typer.echo(f"{'pass' if finding.passed else 'FAIL'}  {finding.name:<{width}}  {finding.detail}".rstrip())
+    if not all(finding.passed for finding in findings):
+        raise typer.Exit(NOT_ALL_OK)
+
+
+class _WrongInput(ValueError):
+    """A call that cannot be carried out as given."""
+
+
+def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant]:
+    from ..plant.registry import make_plant
+    from .config import load_config
+    from .plan import make_plan
+
+    config = load_config(campaign, settings or ())
+    plant = make_plant(config.plant.id, config.plant.parameters)
+    planned = make_plan(config, plant)
+    for warning in planned.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    return planned, plant
+
+
+def _check_folder(output: Path) -> None:
+    folder = output.absolute().parent
+    if not folder.is_dir():
+        raise _WrongInput(f"{folder}: no such folder")
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(f"{folder}: no permission to write there")
+
+
+def main() -> None:
+    """Run the command line and end the process with its exit status."""
+    status = _status()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if status == INTERRUPTED:
+        os._exit(status)  # workers may be deep in a plant: nothing of theirs is needed any more
+    raise SystemExit(status)
+
+
+def _status() -> int:
+    import click
+
+    try:
+        result = app(standalone_mode=False)
+        return result if isinstance(result, int) else OK
+    except click.exceptions.Abort:
+        return _interrupted()
+    except KeyboardInterrupt:
+        return _interrupted()
+    except click.exceptions.NoArgsIsHelpError as error:
+        typer.echo(error.format_message())
+        return WRONG_INPUT
+    except click.ClickException as error:
+        error.show(file=sys.stderr)
+        return WRONG_INPUT
+    except ValueError as error:
+        typer.echo(str(error), err=True)
+        return WRONG_INPUT
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+    except OSError as error:
+        typer.echo(f"{error}; what was measured is kept: run the same command again to go on", err=True)
+        return MACHINE
+
+
+def _interrupted() -> int:
+    typer.echo("interrupted; run the same command again to go on", err=True)
+    return INTERRUPTED

@@ -1,0 +1,54 @@
+"""How long a campaign will take, from a stopwatch held to the unperturbed plant for a moment."""
+
+from __future__ import annotations
+
+import time
+from math import ceil
+
+from ..plant.protocol import Job, PhasorPlant, Plant, Window
+from .loadflow import reached
+from .plan import EXPECTED_WINDOWS, Plan
+
+PROBE_JOBS = 8
+PROBE_BLOCKS = 4
+BATCH_OVERHEAD_S = 2e-3
+"""Settling, solving and storing of a batch of the reference turbine."""
+
+START_S = 0.3
+"""Starting workers and writing the table."""
+
+
+def wall_time_s(plan: Plan, plant: Plant, jobs: int) -> float:
+    """Expected wall time (s) of ``plan`` with ``jobs`` workers on this machine.
+
+    The plant is settled at the first operating point and run unperturbed for a few blocks; no shot
+    is fired. Windows are as many as the plan expects.
+
+    Raises
+    ------
+    NotSettled
+        If the first operating point has no steady state.
+    """
+    per_block_s, together = _cost_of_a_block(plan, plant)
+    batches = list(plan.batches())
+    blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
+    runs = [ceil(2 * len(batch.points) / together) for batch in batches]
+    work_s = [per_block_s * b * n + BATCH_OVERHEAD_S for b, n in zip(blocks, runs, strict=True)]
+    return START_S + max(max(work_s), sum(work_s) / jobs)
+
+
+def _cost_of_a_block(plan: Plan, plant: Plant) -> tuple[float, int]:
+    """Seconds for one block of one run, and how many shots share a run."""
+    source, point = reached(plant, plan.source, plan.conditions[0])
+    job = Job(plant.settle(point, source), None)
+    best = float("inf")
+    for _ in range(3):
+        begin = time.perf_counter()
+        if isinstance(plant, PhasorPlant):
+            plant.run_phasors([job] * PROBE_JOBS, [Window(0.0, 1)] * PROBE_JOBS, plan.block.steps, PROBE_BLOCKS)
+        else:
+            plant.run([job], plan.block.steps * PROBE_BLOCKS)
+        best = min(best, (time.perf_counter() - begin) / PROBE_BLOCKS)
+        if best > 1.0:
+            break
+    return best, PROBE_JOBS if isinstance(plant, PhasorPlant) else 1

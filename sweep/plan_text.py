@@ -1,0 +1,45 @@
+"""A plan as people read it: the shots of every point, the totals, the time it will take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..plant.protocol import NotSettled, Plant
+from .estimate import wall_time_s
+from .plan import Plan
+
+CONDITIONS_SHOWN = 12
+
+
+def plan_text(plan: Plan, plant: Plant, jobs: int) -> str:
+    """Every shot of ``plan``, simulated seconds and the wall time expected with ``jobs`` workers."""
+    return "\n".join([*_shots(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)])
+
+
+def _shots(plan: Plan) -> Iterator[str]:
+    yield "every operating point gets these shots, two a point:"
+    yield f"{'f (Hz)':>12} {'injected at (Hz)':>28} {'periods':>8} {'window (s)':>11}"
+    for point in plan.points:
+        injected = ", ".join(f"{shot.injected_hz:+.6g}" for shot in plan.shots_of(plan.conditions[0], point))
+        window_s = point.window_blocks * plan.block.duration_s
+        yield f"{point.f_hz:>12.6f} {injected:>28} {point.n_periods:>8} {window_s:>11.3g}"
+
+
+def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
+    yield f"{len(plan.conditions)} operating point{'s' if len(plan.conditions) > 1 else ''}, source {plan.source.kind}:"
+    for condition in plan.conditions[:CONDITIONS_SHOWN]:
+        voltage = condition.terminal_voltage_v
+        where = f"{voltage / plant.rating.voltage_v:.4g} pu" if voltage else "|v_pcc| from the grid"
+        yield f"  {condition.op_id}: {condition.active_power_w / 1e6:.4g} MW, {where}"
+    if len(plan.conditions) > CONDITIONS_SHOWN:
+        yield f"  ... and {len(plan.conditions) - CONDITIONS_SHOWN} more"
+
+
+def _totals(plan: Plan, plant: Plant, jobs: int) -> Iterator[str]:
+    unit = "V" if plan.kind == "series_voltage" else "A"
+    yield f"{plan.n_shots} shots of {plan.amplitude:.4g} {unit} peak ({plan.amplitude_pu:g} pu), {plan.kind}"
+    yield f"about {plan.simulated_s:.4g} simulated s, step {plan.dt_s * 1e6:.4g} us"
+    try:
+        yield f"about {wall_time_s(plan, plant, jobs):.2g} s with {jobs} worker{'s' if jobs > 1 else ''}"
+    except NotSettled as refusal:
+        yield f"wall time unknown: the first operating point does not settle: {refusal}"

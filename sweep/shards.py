@@ -1,0 +1,108 @@
+"""Results kept while a campaign runs: one file per batch, beside the output, found by its hash.
+
+A shard is one line of checksum and one line of JSON. It is written to a temporary name and renamed,
+so it is whole or not there; what a flipped bit or a full disk made of it is noticed and measured
+again. Writing the same shard twice is harmless.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from math import isnan, nan
+from pathlib import Path
+
+from .measure import BatchResult, Row
+
+
+class OutputInUse(OSError):
+    """Another run is writing this output."""
+
+
+def folder_of(output: Path) -> Path:
+    """Where the shards of ``output`` are kept."""
+    return output.with_name(output.name + ".parts")
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the folder for one run; the lock goes with the process, however it ends.
+
+    Raises
+    ------
+    OutputInUse
+        If another run holds it.
+    """
+    import fcntl
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / "lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise OutputInUse(
+                f"{folder}: another run is writing this output; wait for it, or choose another one"
+            ) from None
+        yield
+
+
+def write(folder: Path, key: str, result: BatchResult) -> None:
+    """Keep ``result`` as the shard ``key``."""
+    text = json.dumps({"condition": result.condition, "rows": [_plain(row) for row in result.rows]})
+    temporary = folder / f"{key}.{os.getpid()}.tmp"
+    try:
+        with open(temporary, "w", encoding="utf-8") as file:
+            file.write(f"{_checksum(key, text)}\n{text}\n")
+        os.replace(temporary, folder / key)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def read(folder: Path, key: str) -> BatchResult | None:
+    """The shard ``key``, or None where there is none or it is damaged."""
+    try:
+        checksum, text, _ = (folder / key).read_text(encoding="utf-8").split("\n")
+    except (OSError, ValueError):
+        return None
+    if checksum != _checksum(key, text):
+        return None
+    content = json.loads(text)
+    return BatchResult(tuple(_row(row) for row in content["rows"]), content["condition"])
+
+
+def remove(folder: Path) -> None:
+    """Remove the shards once the table is written; a file that is not ours stays, and so does the folder."""
+    for path in folder.iterdir():
+        if path.name == "lock" or path.suffix == ".tmp" or _is_key(path.name):
+            path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def _is_key(name: str) -> bool:
+    return len(name) == 64 and set(name) <= set("0123456789abcdef")
+
+
+def _checksum(key: str, text: str) -> str:
+    """Over the key too: a shard under another's name is not that other."""
+    return hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()
+
+
+def _plain(row: Row) -> dict[str, object]:
+    """JSON has no NaN: null stands for it."""
+    values = asdict(row)
+    values["y"] = [None if isnan(x) else x for x in row.y]
+    return {name: None if isinstance(x, float) and isnan(x) else x for name, x in values.items()}
+
+
+def _row(values: dict[str, object]) -> Row:
+    y = values.pop("y")
+    assert isinstance(y, list)
+    plain = {name: nan if x is None else x for name, x in values.items()}
+    return Row(**plain, y=tuple(nan if x is None else x for x in y))  # type: ignore[arg-type]
