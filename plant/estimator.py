@@ -24,6 +24,9 @@ _NEAR_F1_HZ = 3.0
 _FFT_NEAR_PERIODS = 1.9
 """The same for the FFT, in lines: Hann's taper spreads the fundamental over its neighbours."""
 
+_FAINTEST = 1e-5
+"""Less than this of the fundamental is rounding, not a resonance."""
+
 _FASTEST_GROWTH_PER_S = 80.0
 """What grows or decays faster is a transient, not a resonance."""
 
@@ -98,13 +101,9 @@ def matrix_pencil(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0, 
         poles, f_hz = np.append(poles, 2j * pi * f1_hz), np.append(f_hz, f1_hz)
     at_end = _amplitudes_at_end(x, poles, step_s)
     fundamental = abs(np.sum(at_end[np.abs(f_hz - f1_hz) < _NEAR_F1_HZ]))
-    among = np.flatnonzero(_in_resonance_band(f_hz, f1_hz, _NEAR_F1_HZ))
-    if len(among) == 0:
-        return Resonance(float("nan"), 0.0, float("nan"), fundamental)
-    strongest = among[np.argmax(np.abs(at_end[among]))]
-    return Resonance(
-        float(f_hz[strongest]), float(abs(at_end[strongest])), float(poles[strongest].real), float(fundamental)
-    )
+    magnitude = np.where(_in_resonance_band(f_hz, f1_hz, _NEAR_F1_HZ), np.abs(at_end), 0.0)
+    strongest = np.argmax(magnitude)
+    return _found(f_hz[strongest], magnitude[strongest], poles[strongest].real, fundamental)
 
 
 def sliding_fft(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0) -> Resonance:
@@ -131,10 +130,16 @@ def sliding_fft(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0) ->
     half = n // 2
     early, late = (_line_magnitude(part, f_hz[line], step_s) for part in (x[:half], x[n - half :]))
     growth = np.log(late / early) / ((n - half) * step_s) if early > 0.0 and late > 0.0 else float("nan")
-    return Resonance(float(f_hz[line]), float(spectrum[line]), float(growth), fundamental)
+    return _found(f_hz[line], spectrum[line], growth, fundamental)
 
 
 # ---------------------------------------------------------------------- pieces
+
+
+def _found(f_hz: float, amplitude: float, growth_per_s: float, fundamental: float) -> Resonance:
+    if not amplitude > _FAINTEST * fundamental:
+        return Resonance(float("nan"), 0.0, float("nan"), float(fundamental))
+    return Resonance(float(f_hz), float(amplitude), float(growth_per_s), float(fundamental))
 
 
 def _in_resonance_band(f_hz: np.ndarray, f1_hz: float, near_hz: float) -> np.ndarray:

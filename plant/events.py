@@ -219,14 +219,17 @@ def simulate(
     Raises
     ------
     ValueError
-        If the plant has no measurement port, its step does not divide 2 ms, or its own damping is on.
+        If the plant has no measurement port, its step does not divide 2 ms, its own damping is on, or
+        its fundamental is not that of ``damping``.
     NotSettled
         If there is no initial state.
     """
     port = _with_port(plant)
     n_block = _steps_of(SAMPLE_S, port.dt_s)
     n_blocks = _steps_of(duration_s, SAMPLE_S)
-    settings = damping or _WATCH
+    settings = damping or replace(_WATCH, f1_hz=port.f1_hz)
+    if settings.f1_hz != port.f1_hz:
+        raise ValueError(f"the damping control is set for {settings.f1_hz:g} Hz; {port.id} has {port.f1_hz:g} Hz")
     state = port.equilibrium(OperatingPoint(scenario.active_power_w, None), _source(scenario))
     memory = _memory_at_rest(port, state, scenario, settings)
     pieces: list[Trace] = []
@@ -353,11 +356,14 @@ def _stretches(scenario: Scenario, first: int, n_steps: int, dt_s: float) -> Ite
 
 
 def _memory_at_rest(port: MeasuredPlant, state: Any, scenario: Scenario, settings: DampingSettings) -> DampingState:
-    """Memory of a device that has been in its initial state for a long time."""
+    """Memory of a device that has been in its initial state for a long time.
+
+    The samples of a block lie half a step before its middle on average.
+    """
     _, trace = port.trace(state, conditions_at(replace(scenario, events=()), 0.0), 1)
-    return control.at_rest(
-        0.0, trace.record.v[0] / port.rating.peak_voltage_v, trace.record.i[0], settings.f1_hz
-    )
+    early = np.exp(-1j * pi * port.f1_hz * port.dt_s)
+    v, i = early * trace.record.v[0], early * trace.record.i[0]
+    return control.at_rest(0.0, v / port.rating.peak_voltage_v, i, settings.f1_hz)
 
 
 def _measured(port: MeasuredPlant, traces: list[Trace], time_s: float, cause_gone: bool) -> Measurement:
