@@ -97,6 +97,11 @@ def registered_ids() -> list[str]:
     return sorted(_targets)
 
 
+def is_built_in(plant_id: str) -> bool:
+    """Whether a plant is this package's own; others are foreign and run isolated by default."""
+    return _targets.get(plant_id, "").startswith(f"{__package__}.")
+
+
 def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Plant:
     """The plant named ``plant_id``, made from ``parameters``.
 

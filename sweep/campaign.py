@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,8 +17,9 @@ import numpy as np
 from ..identify.response import FrequencyResponse
 from ..identify.table import QUALITY, write_table
 from ..plant.protocol import Plant
-from ..plant.registry import PlantSpec, releases_gil
+from ..plant.registry import releases_gil
 from . import shards
+from .isolate import children
 from .measure import BatchResult, Row, measure
 from .plan import Batch, Condition, Plan
 
@@ -63,7 +65,7 @@ def run(
     jobs : int
         Workers.
     backend : "threading", "loky", "dask" or None
-        None: threads for plants that release the interpreter lock, processes for others.
+        None: threads for plants that release the interpreter lock or run isolated, processes for others.
     scheduler : str or None
         Address of a dask scheduler; None starts a local cluster.
     report : callable
@@ -76,7 +78,7 @@ def run(
     OSError
         If the machine refuses; what was measured stays in the shards.
     """
-    backend = backend or ("threading" if releases_gil(plant) else "loky")
+    backend = backend or ("threading" if plan.isolate or releases_gil(plant) else "loky")
     folder = shards.folder_of(output)
     with shards.locked(folder):
         _measure_missing(plan, plant, folder, jobs, backend, scheduler, report)
@@ -137,11 +139,10 @@ def _parallel(
 ) -> Iterator[tuple[str, BatchResult]]:
     from joblib import Parallel, delayed, parallel_config
 
-    share = plant if backend == "threading" else None
     cluster = _dask_client(jobs, scheduler) if backend == "dask" else nullcontext()
-    with cluster, parallel_config(backend=backend, n_jobs=jobs):
+    with cluster, _worker(plan, plant, jobs, backend) as work, parallel_config(backend=backend, n_jobs=jobs):
         pool = Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
-        yield from pool(delayed(_work)(share, plan, batch) for batch in batches)
+        yield from pool(delayed(work)(batch) for batch in batches)
 
 
 @contextmanager
@@ -165,13 +166,23 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[None]:
         yield
 
 
-def _work(plant: Plant | None, plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
-    """The task: in a process of its own the plant is made anew from its name."""
-    return batch.key, measure(plant or _made(plan.spec), plan, batch)
+@contextmanager
+def _worker(plan: Plan, plant: Plant, jobs: int, backend: str) -> Iterator[Callable[[Batch], tuple[str, BatchResult]]]:
+    """The task of a batch: threads share the plant, or children that hold it; processes make their own."""
+    if backend != "threading":
+        yield partial(_in_process, plan)
+    elif plan.isolate:
+        with children(plan, jobs) as isolated:
+            yield lambda batch: (batch.key, isolated.measure(batch))
+    else:
+        yield lambda batch: (batch.key, measure(plant, plan, batch))
 
 
-def _made(spec: PlantSpec) -> Plant:
-    return spec.make()
+def _in_process(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
+    if plan.isolate:
+        with children(plan, 1) as isolated:
+            return batch.key, isolated.measure(batch)
+    return batch.key, measure(plan.spec.make(), plan, batch)
 
 
 # The table

@@ -77,8 +77,6 @@ class _Baseline(NamedTuple):
         Where every shot branches from.
     v, i : (n,) complex
         `harmonics` of one block.
-    v_record : Record
-        The record they come from.
     phi1 : float
         Angle of the fundamental voltage at time zero (rad).
     change : float
@@ -110,12 +108,12 @@ def measure(plant: Plant, plan: Plan, batch: Batch) -> BatchResult:
     try:
         baseline = _baseline(plant, plan, batch)
     except NotSettled as refusal:
-        return _all_failed(plan, batch, refusal.status, str(refusal))
+        return failed_batch(plan, batch, refusal.status, str(refusal))
     except Exception as error:
-        return _all_failed(plan, batch, "failed", _in_words(error))
+        return failed_batch(plan, batch, "failed", _in_words(error))
     if not baseline.change <= SETTLED_LIMIT:
         reason = f"unperturbed waveforms change by {baseline.change:.2g} of their peak over one period; "
-        return _all_failed(plan, batch, "not_settled", f"{reason}{SETTLED_LIMIT:g} is needed")
+        return failed_batch(plan, batch, "not_settled", f"{reason}{SETTLED_LIMIT:g} is needed")
     condition = {"settle_residual": baseline.change, "terminal_voltage_v": baseline.terminal_voltage_v}
     return BatchResult(tuple(_rows(plant, plan, batch, baseline)), condition)
 
@@ -157,7 +155,6 @@ def _baseline(plant: Plant, plan: Plan, batch: Batch) -> _Baseline:
 
 def _drive(plant: Plant, plan: Plan, baseline: _Baseline, shots: Sequence[Shot]) -> list[Settled]:
     """Run every shot until two of its successive windows agree, or its time is over."""
-    listen = _listen_phasors if isinstance(plant, PhasorPlant) else _listen_records
     states = [baseline.state] * len(shots)
     heard: list[list[Phasors]] = [[] for _ in shots]
     results: dict[int, Settled] = {}
@@ -167,7 +164,10 @@ def _drive(plant: Plant, plan: Plan, baseline: _Baseline, shots: Sequence[Shot])
         n_blocks = min(longest, max(1, _most_blocks(plan, [shots[k] for k in pending]) - done))
         jobs = [Job(states[k], plan.injection(shots[k])) for k in pending]
         listening = [Window(shots[k].f_hz, shots[k].window_blocks, done) for k in pending]
-        unperturbed, answers = listen(plant, plan, baseline, unperturbed, jobs, listening, n_blocks)
+        if isinstance(plant, PhasorPlant):
+            answers = _listen_phasors(plant, plan, baseline, jobs, listening, n_blocks)
+        else:
+            unperturbed, answers = _listen_records(plant, plan, unperturbed, jobs, listening, n_blocks)
         done += n_blocks
         for k, (state, phasors) in zip(pending, answers, strict=True):
             states[k] = state
@@ -210,18 +210,17 @@ def _listen_phasors(
     plant: PhasorPlant,
     plan: Plan,
     baseline: _Baseline,
-    unperturbed: Any,
     jobs: list[Job],
     listening: list[Window],
     n_blocks: int,
-) -> tuple[Any, list[tuple[Any, Phasors]]]:
+) -> list[tuple[Any, Phasors]]:
     """Phasors accumulated by the plant, less those of the certified periodic baseline."""
     answers = plant.run_phasors(jobs, listening, plan.block.steps, n_blocks)
     cleaned = []
     for (state, phasors), window in zip(answers, listening, strict=True):
         v, i = (_without(x, lines, plan, window) for x, lines in ((phasors.v, baseline.v), (phasors.i, baseline.i)))
         cleaned.append((state, Phasors(v, i)))
-    return unperturbed, cleaned
+    return cleaned
 
 
 def _without(x: np.ndarray, lines: np.ndarray, plan: Plan, window: Window) -> np.ndarray:
@@ -238,7 +237,6 @@ def _without(x: np.ndarray, lines: np.ndarray, plan: Plan, window: Window) -> np
 def _listen_records(
     plant: Plant,
     plan: Plan,
-    baseline: _Baseline,
     unperturbed: Any,
     jobs: list[Job],
     listening: list[Window],
@@ -312,7 +310,8 @@ def _finite(v: np.ndarray, i: np.ndarray) -> bool:
     return bool(np.all(np.isfinite(v)) and np.all(np.isfinite(i)))
 
 
-def _all_failed(plan: Plan, batch: Batch, status: str, reason: str) -> BatchResult:
+def failed_batch(plan: Plan, batch: Batch, status: str, reason: str) -> BatchResult:
+    """Every point of ``batch`` as a row of ``status`` with the same reason."""
     return BatchResult(tuple(_failed_row(plan, point, status, reason) for point in batch.points), {})
 
 

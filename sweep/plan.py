@@ -23,7 +23,7 @@ from ..plant.protocol import (
     Tone,
     reactance_to_inductance,
 )
-from ..plant.registry import PlantSpec, fingerprint
+from ..plant.registry import PlantSpec, fingerprint, is_built_in
 from .config import Config, OperatingPointSection
 from .grid import Block, Frequency, coherent_block, generated, listed
 
@@ -133,6 +133,10 @@ class Plan:
         From the configuration.
     batch_points : int
         Points of a batch.
+    isolate : bool
+        Whether the plant runs in processes of its own.
+    timeout_s : float or None
+        Wall time (s) that a shot of an isolated plant may take.
     configuration : mapping
         The whole configuration, as it is stored.
     warnings : tuple of str
@@ -153,6 +157,8 @@ class Plan:
     tolerance: float
     max_simulated_s: float
     batch_points: int
+    isolate: bool
+    timeout_s: float | None
     configuration: Mapping[str, Any]
     warnings: tuple[str, ...] = field(default=())
 
@@ -242,6 +248,8 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         tolerance=config.sweep.tolerance,
         max_simulated_s=config.sweep.max_simulated_s,
         batch_points=_batch_points(len(points), len(conditions), plant),
+        isolate=not is_built_in(spec.id) if config.plant.isolate is None else config.plant.isolate,
+        timeout_s=config.plant.timeout_s,
         configuration=config.to_dict(),
         warnings=tuple(warnings),
     )
