@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import pi
 
 import numpy as np
 import pytest
 
+from seqsweep.plant import damping
+from seqsweep.plant.damping import DampingSettings, DampingState, Measurement
 from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
-from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
+from seqsweep.plant.estimator import sliding_fft
+from seqsweep.plant.protocol import Compensation, Injection, Job, OperatingPoint, Source, Tone, Window
 
 from . import oracle
 
@@ -200,3 +204,148 @@ def sweep_point(plant: ReferenceTurbine, state, f_hz: float) -> np.ndarray:
 def test_damping_parameters_are_refused_in_words(given, words):
     with pytest.raises(ValueError, match=words):
         ReferenceTurbine(**given)
+
+
+@pytest.mark.parametrize("name", ["advance_ideal_compensated", "advance_thevenin_compensated"])
+def test_compensated_lanes_are_vector_code(name):
+    """A scalar kernel would be three to four times slower. Compiled anew: cached code cannot be looked at."""
+    from numba import njit
+    from numba.core import config
+
+    from seqsweep.plant.kernels import turbine
+
+    if config.DISABLE_JIT:
+        pytest.skip("nothing is compiled")
+    kernel = njit(nogil=True, fastmath=turbine._FAST, error_model="numpy")(getattr(turbine, name).py_func)
+    kernel(np.ones(turbine.array_slots(0) * turbine.LANES), 0, TABLE_I, 5e-5, 0)
+    (code,) = kernel.inspect_asm().values()
+    if "ymm" not in code and "zmm" not in code:
+        pytest.skip("this processor has no wide vectors")
+    assert code.count("vmulpd") > 2 * code.count("vmulsd")
+
+
+def test_notch_stops_the_fundamental_and_nothing_else():
+    response = damping.notch(np.array([50.0, -50.0, 23.0, 77.0, 49.5]))
+    np.testing.assert_allclose(response[:2], 0.0, atol=1e-15)
+    np.testing.assert_allclose(response[2:4], 1.0, atol=0.03)  # phase 2 xi / (f/f0 - f0/f): 1.3 degrees
+    assert abs(response[4]) == pytest.approx(np.sqrt(0.5), abs=0.01)  # half width xi f0
+
+
+# ---------------------------------------------------------------- when it acts
+
+SETTINGS = DampingSettings(0.5, R_OHM, L_H, 77.0)
+V_PU, I_A = np.exp(0.3j), 800.0 * np.exp(0.1j)
+
+
+def current(r: Callable[[float], float], f_r_hz: float = 77.0) -> Callable[[float], complex]:
+    """800 A at 50 Hz and r(t) of it at the resonance."""
+    return lambda t: I_A * np.exp(100j * pi * t) + abs(I_A) * r(t) * np.exp(2j * pi * f_r_hz * t)
+
+
+def observe(
+    i: Callable[[float], complex],
+    to_s: float,
+    settings: DampingSettings = SETTINGS,
+    v_pu: Callable[[float], complex] = lambda t: V_PU * np.exp(100j * pi * t),
+    gone: Callable[[float], bool] = lambda t: False,
+) -> list[tuple[float, DampingState]]:
+    """The states at every decision; means over 2 ms from 20 samples."""
+    state, seen = damping.at_rest(0.0, V_PU, I_A), []
+    for block in range(round(to_s / 2e-3)):
+        t = 2e-3 * block + (np.arange(20) + 0.5) * 1e-4
+        means = [complex(np.mean([x(s) for s in t])) for x in (v_pu, i)]
+        end_s = 2e-3 * (block + 1)
+        state = damping.decide(settings, state, Measurement(end_s, *means, gone(end_s)))
+        seen.append((end_s, state))
+    return seen
+
+
+def started_s(seen: list[tuple[float, DampingState]]) -> float | None:
+    return next((t for t, state in seen if state.active), None)
+
+
+def test_growing_resonance_starts_it_150_ms_after_three_percent():
+    seen = observe(current(lambda t: 0.01 * np.exp(4.0 * t)), 0.7)
+    at_three_percent = np.log(3.0) / 4.0
+    assert started_s(seen) == pytest.approx(at_three_percent + 0.15, abs=0.005)
+    state = seen[-1][1]
+    assert state.acts
+    assert damping.output(SETTINGS, state) == Compensation(0.5 * R_OHM, 0.5 * 2.0 * pi * 77.0 * L_H)
+
+
+def test_sustained_resonance_starts_it():
+    assert started_s(observe(current(lambda t: 0.05), 0.5)) is not None
+
+
+def test_weak_resonance_does_not_start_it():
+    assert started_s(observe(current(lambda t: 0.02), 1.0)) is None
+
+
+def test_decaying_resonance_does_not_start_it():
+    """Even where r stays above the threshold for longer than the delay."""
+    seen = observe(current(lambda t: 0.2 * np.exp(-4.0 * t) if t > 0.1 else 0.0), 1.0)
+    assert sum(state.resonance.ratio > 0.03 for _, state in seen) * 2e-3 > 0.2
+    assert started_s(seen) is None
+
+
+def test_low_voltage_blocks_it_and_zeroes_its_buffer():
+    """40 ms at 0.2 pu: blocked once the mean over two periods is below 0.8 pu, judged again 150 ms after that."""
+
+    def dip(t: float) -> complex:
+        return (0.2 if 0.1 <= t < 0.14 else 1.0) * V_PU * np.exp(100j * pi * t)
+
+    seen = observe(current(lambda t: 0.05), 0.6, v_pu=dip)
+    blocked = [t for t, state in seen if state.blocked]
+    assert blocked[0] == pytest.approx(0.11, abs=0.003)
+    assert blocked[-1] == pytest.approx(0.17, abs=0.003)
+    at_end = next(state for t, state in seen if t == blocked[-1])
+    assert not np.any(at_end.currents)
+    assert np.isnan(at_end.resonance.ratio)
+    judged = next(t for t, state in seen if t > 0.17 and state.resonance.ratio > 0.03)
+    assert judged == pytest.approx(blocked[-1] + 0.15, abs=1e-6)
+    assert started_s(seen) == pytest.approx(judged + 0.15, abs=1e-6)
+
+
+def test_active_control_pauses_while_blocked():
+    def dip(t: float) -> complex:
+        return (0.2 if 0.5 <= t < 0.54 else 1.0) * V_PU * np.exp(100j * pi * t)
+
+    seen = observe(current(lambda t: 0.05), 0.7, v_pu=dip)
+    for _, state in seen:
+        if state.blocked:
+            assert state.active
+            assert damping.output(SETTINGS, state) == Compensation()
+    assert any(state.blocked for _, state in seen)
+    assert seen[-1][1].acts
+
+
+def test_it_stops_when_the_cause_is_gone_and_stays_on_when_only_the_resonance_is():
+    def r(t: float) -> float:
+        return 0.05 if t < 0.5 else 0.0
+
+    seen = observe(current(r), 1.0, gone=lambda t: t > 0.9)
+    assert all(state.active for t, state in seen if 0.4 < t <= 0.9)
+    assert not any(state.active for t, state in seen if t > 0.9)
+    assert np.isnan(seen[-1][1].resonance_hz)
+
+
+@pytest.mark.parametrize(("estimator", "within_hz"), [(damping.matrix_pencil, 0.01), (sliding_fft, 3.7)])
+def test_without_preset_it_takes_the_estimate(estimator, within_hz):
+    settings = DampingSettings(0.5, R_OHM, L_H, None, estimator=estimator)
+    state = observe(current(lambda t: 0.05, 23.0), 0.4, settings)[-1][1]
+    assert state.resonance_hz == pytest.approx(23.0, abs=within_hz)
+    assert damping.output(settings, state).x_ohm > 0.0
+
+
+def test_lost_numbers_block_it():
+    seen = observe(current(lambda t: 0.05), 0.4, v_pu=lambda t: complex("nan") if t > 0.3 else V_PU)
+    assert seen[-1][1].blocked
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [({"k": 2.1}, "k of the damping control is 2.1; needed: 0 to 2"), ({"threshold": -1.0}, "threshold"), ({"delay_s": -1.0}, "delay_s")],
+)
+def test_settings_are_refused_in_words(given, words):
+    with pytest.raises(ValueError, match=words):
+        DampingSettings(**{"k": 0.5, "r_ohm": 0.01, "l_h": 1e-3, "resonance_hz": 77.0, **given})
