@@ -309,13 +309,14 @@ def _row_groups(responses: Iterable[FrequencyResponse], schema: Any) -> Iterator
     """Cut a stream of responses into Arrow tables of `ROW_GROUP_ROWS` rows, the last one shorter."""
     import pyarrow as pa
 
-    pending = schema.empty_table()
+    pending = None
     for response in responses:
-        pending = pa.concat_tables([pending, _arrow_table(_columns(response), schema)])
+        fresh = _arrow_table(_columns(response), schema)
+        pending = fresh if pending is None else pa.concat_tables([pending, fresh])
         while pending.num_rows >= ROW_GROUP_ROWS:
             yield pending.slice(0, ROW_GROUP_ROWS).combine_chunks()  # page borders follow chunks: leave none
             pending = pending.slice(ROW_GROUP_ROWS)
-    if pending.num_rows:
+    if pending is not None and pending.num_rows:
         yield pending.combine_chunks()
 
 
@@ -345,14 +346,33 @@ def _columns(response: FrequencyResponse) -> dict[str, np.ndarray]:
 def _arrow_table(columns: Mapping[str, np.ndarray], schema: Any) -> Any:
     import pyarrow as pa
 
-    arrays = {
-        "string": lambda values, kind: pa.array(values.tolist(), kind),
-        "double": lambda values, kind: pa.array(_one_nan(values), kind),
-        "list of double": lambda values, kind: pa.ListArray.from_arrays(
-            np.arange(0, values.size + 1, N_COV, dtype=np.int32), _one_nan(values).ravel(), type=kind
-        ),
-    }
-    return pa.table([arrays[c.kind](columns[c.name], schema.field(c.name).type) for c in COLUMNS], schema=schema)
+    make = {"string": _arrow_strings, "double": _arrow_doubles, "list of double": _arrow_lists}
+    return pa.table([make[c.kind](columns[c.name], schema.field(c.name).type) for c in COLUMNS], schema=schema)
+
+
+# Arrays are made from buffers: `pyarrow.array` imports all of pandas, where there is one, only to ask
+# whether its argument is a Series.
+
+
+def _arrow_doubles(values: np.ndarray, kind: Any) -> Any:
+    import pyarrow as pa
+
+    return pa.Array.from_buffers(pa.float64(), values.size, [None, pa.py_buffer(_one_nan(values).ravel())])
+
+
+def _arrow_lists(values: np.ndarray, kind: Any) -> Any:
+    import pyarrow as pa
+
+    offsets = pa.py_buffer(np.arange(0, values.size + 1, N_COV, dtype=np.int32))
+    return pa.Array.from_buffers(kind, len(values), [None, offsets], children=[_arrow_doubles(values, kind)])
+
+
+def _arrow_strings(values: np.ndarray, kind: Any) -> Any:
+    import pyarrow as pa
+
+    encoded = [str(value).encode() for value in values]
+    ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)))
 
 
 def _one_nan(values: np.ndarray) -> np.ndarray:
