@@ -10,6 +10,7 @@ from __future__ import annotations
 import cmath
 from dataclasses import dataclass, replace
 from math import nan, pi
+from statistics import median
 
 import numpy as np
 
@@ -125,6 +126,8 @@ class DampingState:
         40 ms of voltage (pu), seen from the frame that rotates at f1.
     resonance : Resonance
         Latest estimate; `NO_RESONANCE` while the buffer fills.
+    growths_per_s : tuple of float
+        Latest growths, up to five, since r is above the threshold (1/s).
     ringing_since_s : float or None
         Since when r is above the threshold without decaying (s).
     active, blocked : bool
@@ -137,6 +140,7 @@ class DampingState:
     n_currents: int
     voltages: np.ndarray
     resonance: Resonance = NO_RESONANCE
+    growths_per_s: tuple[float, ...] = ()
     ringing_since_s: float | None = None
     active: bool = False
     blocked: bool = False
@@ -163,18 +167,20 @@ def decide(settings: DampingSettings, state: DampingState, measurement: Measurem
     - Blocked while |v_pcc| is low; the analysis buffer is then zero, and judged again when full.
     - Starts when r > threshold and the estimated growth says "not decaying" throughout ``delay_s``.
       Window and delay are as long: whatever an event left in the window has gone when it counts.
+      The growth that counts is the median of the last 10 ms: single estimates slip.
     - Stops, and does not start, while the cause is said to be gone.
     """
     state = _listen(settings, state, measurement)
     time_s, found = measurement.time_s, state.resonance
-    ringing = found.ratio > settings.threshold and found.growth_per_s > -_SLOWEST_DECAY_PER_S
+    growths = (*state.growths_per_s[-4:], found.growth_per_s) if found.ratio > settings.threshold else ()
+    ringing = bool(growths) and median(growths) > -_SLOWEST_DECAY_PER_S
     since_s = (time_s if state.ringing_since_s is None else state.ringing_since_s) if ringing else None
     due = since_s is not None and time_s - since_s >= settings.delay_s - 1e-9
     active = (state.active or due) and not measurement.cause_gone
     resonance_hz = state.resonance_hz if active else nan
     if active and not state.active:
         resonance_hz = found.f_hz if settings.resonance_hz is None else settings.resonance_hz
-    return replace(state, ringing_since_s=since_s, active=active, resonance_hz=resonance_hz)
+    return replace(state, growths_per_s=growths, ringing_since_s=since_s, active=active, resonance_hz=resonance_hz)
 
 
 def output(settings: DampingSettings, state: DampingState) -> Compensation:

@@ -16,8 +16,8 @@ import numpy as np
 
 from . import damping as control
 from .damping import DampingSettings, DampingState, Measurement
-from .estimator import SAMPLE_S, WINDOW_S, Resonance, block_means, matrix_pencil
-from .protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Record, Source, Trace
+from .estimator import SAMPLE_S, Resonance, block_means, matrix_pencil
+from .protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Trace
 
 FaultKind = Literal["a-b-c", "a-g", "b-c", "b-c-g"]
 
@@ -106,7 +106,9 @@ class Scenario:
             _check_event(event)
         for first, second in pairwise(faults):
             if second.time_s < first.time_s + first.duration_s:
-                raise ValueError(f"the faults at {first.time_s:g} s and {second.time_s:g} s overlap; give one at a time")
+                raise ValueError(
+                    f"the faults at {first.time_s:g} s and {second.time_s:g} s overlap; give one at a time"
+                )
         if not (self.scale > 0.0 and self.turbines > 0.0):
             raise ValueError(f"scale and turbines must be positive; got {self.scale:g} and {self.turbines:g}")
 

@@ -344,7 +344,11 @@ def test_lost_numbers_block_it():
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [({"k": 2.1}, "k of the damping control is 2.1; needed: 0 to 2"), ({"threshold": -1.0}, "threshold"), ({"delay_s": -1.0}, "delay_s")],
+    [
+        ({"k": 2.1}, "k of the damping control is 2.1; needed: 0 to 2"),
+        ({"threshold": -1.0}, "threshold"),
+        ({"delay_s": -1.0}, "delay_s"),
+    ],
 )
 def test_settings_are_refused_in_words(given, words):
     with pytest.raises(ValueError, match=words):
