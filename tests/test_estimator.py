@@ -102,7 +102,7 @@ def test_what_cannot_be_judged_is_said_to_be_nothing(estimate):
     assert np.isnan(NO_RESONANCE.ratio)
     silent = estimate(np.zeros(75, complex))
     assert np.isnan(silent.ratio)
-    with pytest.raises(ValueError, match="needed|needs"):
+    with pytest.raises(ValueError, match=r"needed|needs"):
         estimate(np.ones(20, complex))
 
 

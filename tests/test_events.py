@@ -299,7 +299,7 @@ def test_plant_without_a_measurement_port_is_refused_by_name():
 def test_wrong_calls_are_refused_in_words():
     with pytest.raises(ValueError, match="was made with damping_gain > 0"):
         simulate(ReferenceTurbine(damping_gain=0.5), scenario(0.6e6), None, 0.1)
-    with pytest.raises(ValueError, match="not a whole number of steps of 0.002 s"):
+    with pytest.raises(ValueError, match=r"not a whole number of steps of 0.002 s"):
         simulate(PLANT, scenario(0.6e6), None, 0.1001)
     with pytest.raises(ValueError, match="set for 60 Hz; dpmsg-v1 has 50 Hz"):
         simulate(PLANT, scenario(0.6e6), settings(1.0, f1_hz=60.0), 0.1)
