@@ -210,7 +210,7 @@ def _responses(
         rows = sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz)
         for row in rows:
             statuses[row.status] = statuses.get(row.status, 0) + 1
-        yield _response(plan, op_id, rows)
+        yield response_of(plan, op_id, rows)
 
 
 def _shard(folder: Path, batch: Batch) -> BatchResult:
@@ -220,7 +220,8 @@ def _shard(folder: Path, batch: Batch) -> BatchResult:
     return result
 
 
-def _response(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyResponse:
+def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyResponse:
+    """Rows of one operating point, ascending, as a response."""
     parts = np.array([row.y for row in rows])
     return FrequencyResponse(
         f_hz=np.array([row.f_hz for row in rows]),

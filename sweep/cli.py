@@ -148,6 +148,44 @@ def check(plant: Annotated[str, typer.Argument(metavar="PLANT", help="The id of 
         raise typer.Exit(NOT_ALL_OK)
 
 
+@app.command()
+def tune(
+    table: TableFile,
+    grid: Annotated[str, typer.Option(metavar="R+jX", help="Grid impedance in ohm at f1, such as 0.012+0.25j.")],
+    scale: Annotated[float, typer.Option(help="Multiplies the grid impedance.")] = 1.0,
+    margin: Annotated[float, typer.Option(help="Required magnitude margin m.")] = 1.4,
+    op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="TUNING.json", help="Write JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode, locus and poles: .png, .svg, .pdf.")] = None,
+    confirm: Annotated[bool, typer.Option("--confirm", help="Sweep again with damping and iterate k.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm.")] = os.cpu_count() or 1,
+) -> None:
+    """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
+    from ..identify.table import read_table
+    from ..tuning.result import format_table, write_json
+    from ..tuning.siso import parse_grid
+    from ..tuning.tune import tune as judge
+
+    for path in (output, plot):
+        if path is not None:
+            _check_folder(path)
+    content = read_table(table)
+    result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
+    if confirm:
+        from .confirm import confirm as confirm_gain
+
+        result = confirm_gain(
+            result, content.meta["configuration"], jobs=jobs, report=lambda text: typer.echo(text, err=True)
+        )
+    typer.echo(format_table(result, shutil.get_terminal_size((100, 24)).columns))
+    if output is not None:
+        write_json(result, output)
+    if plot is not None:
+        from ..tuning.plot import plot_result
+
+        plot_result(result, plot, result.worst.op_id)
+
+
 class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 

@@ -529,7 +529,7 @@ def _source(source: Mapping[str, Any], injection: Mapping[str, Any], points: Seq
     with_grid = [isinstance(point, Mapping) and point.get("grid") is not None for point in points]
     impedance = [key for key in ("r_ohm", "x_ohm") if _number(source.get(key))]
     if kind == "ideal":
-        yield from _ideal(injection, impedance, with_grid)
+        yield from _ideal(injection, impedance)
     elif kind == "thevenin" and any(with_grid) and all(with_grid):
         for key in impedance:
             yield _Problem(("source", key), "given beside the grid of every operating point; needed: only one of them")
@@ -538,17 +538,13 @@ def _source(source: Mapping[str, Any], injection: Mapping[str, Any], points: Seq
         yield _Problem(("source", "x_ohm"), f"{given}; needed: {_needed(('source', 'x_ohm'))}")
 
 
-def _ideal(injection: Mapping[str, Any], impedance: Sequence[str], with_grid: Sequence[bool]) -> Iterator[_Problem]:
+def _ideal(injection: Mapping[str, Any], impedance: Sequence[str]) -> Iterator[_Problem]:
     for key in impedance:
         yield _Problem(("source", key), 'given, but an ideal source has no impedance; needed: kind = "thevenin"')
     if injection.get("kind") == "shunt_current":
         held = '"shunt_current" cannot perturb a PCC that an ideal source holds'
         text = f'{held}; needed: "series_voltage", or [source] kind = "thevenin"'
         yield _Problem(("injection", "kind"), text)
-    for index, has_grid in enumerate(with_grid):
-        if has_grid:
-            text = 'given, but the source is ideal; needed: [source] kind = "thevenin", or terminal_voltage_pu instead'
-            yield _Problem(("operating_point", index, "grid"), text)
 
 
 # Words

@@ -271,12 +271,6 @@ ADDED: list[tuple[str, str, str, str]] = [
     ("r negative", THEVENIN.replace("0.012", "-1"), "", r"^18: source.r_ohm: given -1; needed: .*at least 0, in ohm"),
     ("ideal x", GOOD, "[source]\nx_ohm = 0.25", r"^17: source.x_ohm: given, but an ideal source has no impedance"),
     (
-        "grid ideal",
-        GRID.replace('"thevenin"', '"ideal"'),
-        "",
-        r"^10: operating_point.0.grid: given, but the source is ideal",
-    ),
-    (
         "grid and v",
         GRID.replace("grid =", "terminal_voltage_pu = 1\ngrid ="),
         "",
