@@ -24,6 +24,10 @@ from .plan import Batch, Plan, Shot
 FIRST_WINDOWS = 2
 """Windows run before any two are compared."""
 
+RUN_BLOCKS = 15
+"""Blocks of one `run_phasors`: all shots are cut at the same places, whatever their neighbours need,
+so that not even their rounding depends on the neighbours."""
+
 DIVERGED_PU = 10.0
 """A response this many times the rated peak has left the small signal for good."""
 
@@ -162,6 +166,8 @@ def _drive(plant: Plant, plan: Plan, baseline: _Baseline, shots: Sequence[Shot])
     while pending := [k for k in range(len(shots)) if k not in results]:
         longest = max(_blocks_to_go(shots[k], done) for k in pending)
         n_blocks = min(longest, max(1, _most_blocks(plan, [shots[k] for k in pending]) - done))
+        if isinstance(plant, PhasorPlant):
+            n_blocks += -n_blocks % RUN_BLOCKS
         jobs = [Job(states[k], plan.injection(shots[k])) for k in pending]
         listening = [Window(shots[k].f_hz, shots[k].window_blocks, done) for k in pending]
         if isinstance(plant, PhasorPlant):
@@ -215,11 +221,17 @@ def _listen_phasors(
     n_blocks: int,
 ) -> list[tuple[Any, Phasors]]:
     """Phasors accumulated by the plant, less those of the certified periodic baseline."""
-    answers = plant.run_phasors(jobs, listening, plan.block.steps, n_blocks)
+    heard: list[list[Phasors]] = []
+    for first in range(0, n_blocks, RUN_BLOCKS):
+        windows_now = [window._replace(first_block=window.first_block + first) for window in listening]
+        answers = plant.run_phasors(jobs, windows_now, plan.block.steps, RUN_BLOCKS)
+        jobs = [Job(state, job.injection) for (state, _), job in zip(answers, jobs, strict=True)]
+        heard.append([phasors for _, phasors in answers])
     cleaned = []
-    for (state, phasors), window in zip(answers, listening, strict=True):
-        v, i = (_without(x, lines, plan, window) for x, lines in ((phasors.v, baseline.v), (phasors.i, baseline.i)))
-        cleaned.append((state, Phasors(v, i)))
+    for job, window, parts in zip(jobs, listening, zip(*heard, strict=True), strict=True):
+        v = _without(np.concatenate([part.v for part in parts]), baseline.v, plan, window)
+        i = _without(np.concatenate([part.i for part in parts]), baseline.i, plan, window)
+        cleaned.append((job.state, Phasors(v, i)))
     return cleaned
 
 
