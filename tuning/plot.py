@@ -157,7 +157,7 @@ def _draw_locus(axes: Axes, point: PointTuning) -> None:
 def _draw_poles(axes: Axes, point: PointTuning) -> None:
     _, stability = _fitted(point)
     loop = stability.closed_loop
-    near = loop.f_hz <= loop.f1_hz
+    near = (loop.f_hz <= loop.f1_hz) & (loop.poles.real > -2.0 * np.pi * loop.f1_hz)  # others do not resonate
     real, nu = loop.poles.real[near], loop.f_hz[near]
     left = min(-10.0, 1.25 * float(real.min(initial=-10.0)))
     right = max(10.0, 1.5 * float(real.max(initial=0.0)))
