@@ -84,6 +84,7 @@ class DampingSettings:
             "threshold": (self.threshold, 0.0, 1.0),
             "delay_s": (self.delay_s, 0.0, 60.0),
             "block_below_pu": (self.block_below_pu, 0.0, 1.0),
+            "resonance_hz": (0.0 if self.resonance_hz is None else self.resonance_hz, -1000.0, 1000.0),
         }
         for name, (value, low, high) in needed.items():
             if not low <= value <= high:
@@ -166,7 +167,7 @@ def decide(settings: DampingSettings, state: DampingState, measurement: Measurem
     -----
     - Blocked while |v_pcc| is low; the analysis buffer is then zero, and judged again when full.
     - Starts when r > threshold and the estimated growth says "not decaying" throughout ``delay_s``.
-      Window and delay are as long: whatever an event left in the window has gone when it counts.
+      The window is as long as the delay: what an event left in it has gone when the delay ends.
       The growth that counts is the median of the last 10 ms: single estimates slip.
     - Stops, and does not start, while the cause is said to be gone.
     """

@@ -45,12 +45,15 @@ class Resonance:
         Real part of the pole (1/s), positive for growth; NaN if there is none.
     fundamental : float
         A_0, in the unit of the samples.
+    mirror : float
+        Amplitude of the weaker component at 2 f1 - f; 0 if there is none.
     """
 
     f_hz: float
     amplitude: float
     growth_per_s: float
     fundamental: float
+    mirror: float
 
     @property
     def ratio(self) -> float:
@@ -58,7 +61,7 @@ class Resonance:
         return self.amplitude / self.fundamental if self.fundamental > 0.0 else float("nan")
 
 
-NO_RESONANCE = Resonance(float("nan"), float("nan"), float("nan"), float("nan"))
+NO_RESONANCE = Resonance(*[float("nan")] * 5)
 """The answer to a window that cannot be judged."""
 
 Estimator = Callable[[np.ndarray, float, float], Resonance]
@@ -103,7 +106,9 @@ def matrix_pencil(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0, 
     fundamental = abs(np.sum(at_end[np.abs(f_hz - f1_hz) < _NEAR_F1_HZ]))
     magnitude = np.where(_in_resonance_band(f_hz, f1_hz, _NEAR_F1_HZ), np.abs(at_end), 0.0)
     strongest = np.argmax(magnitude)
-    return _found(f_hz[strongest], magnitude[strongest], poles[strongest].real, fundamental)
+    at_mirror = np.abs(f_hz - (2.0 * f1_hz - f_hz[strongest])) < _NEAR_F1_HZ
+    mirror = np.max(np.where(at_mirror, magnitude, 0.0))
+    return _found(f_hz[strongest], magnitude[strongest], poles[strongest].real, fundamental, mirror)
 
 
 def sliding_fft(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0) -> Resonance:
@@ -130,16 +135,17 @@ def sliding_fft(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0) ->
     half = n // 2
     early, late = (_line_magnitude(part, f_hz[line], step_s) for part in (x[:half], x[n - half :]))
     growth = np.log(late / early) / ((n - half) * step_s) if early > 0.0 and late > 0.0 else float("nan")
-    return _found(f_hz[line], spectrum[line], growth, fundamental)
+    mirror = spectrum[np.argmin(np.abs(f_hz - (2.0 * f1_hz - f_hz[line])))]
+    return _found(f_hz[line], spectrum[line], growth, fundamental, mirror)
 
 
 # ---------------------------------------------------------------------- pieces
 
 
-def _found(f_hz: float, amplitude: float, growth_per_s: float, fundamental: float) -> Resonance:
+def _found(f_hz: float, amplitude: float, growth_per_s: float, fundamental: float, mirror: float) -> Resonance:
     if not amplitude > _FAINTEST * fundamental:
-        return Resonance(float("nan"), 0.0, float("nan"), float(fundamental))
-    return Resonance(float(f_hz), float(amplitude), float(growth_per_s), float(fundamental))
+        return Resonance(float("nan"), 0.0, float("nan"), float(fundamental), 0.0)
+    return Resonance(float(f_hz), float(amplitude), float(growth_per_s), float(fundamental), float(mirror))
 
 
 def _in_resonance_band(f_hz: np.ndarray, f1_hz: float, near_hz: float) -> np.ndarray:

@@ -176,6 +176,11 @@ class Trajectory:
         return np.array([found.amplitude for found in self.resonance])
 
     @property
+    def mirror_a(self) -> np.ndarray:
+        """Magnitude of its mirror at 2 f1 - f at the decisions (A, phase peak)."""
+        return np.array([found.mirror for found in self.resonance])
+
+    @property
     def growth_per_s(self) -> np.ndarray:
         """Its growth at the decisions (1/s)."""
         return np.array([found.growth_per_s for found in self.resonance])
@@ -327,7 +332,7 @@ def _check_event(event: Event) -> None:
 def _with_port(plant: Plant) -> MeasuredPlant:
     if not isinstance(plant, MeasuredPlant):
         raise ValueError(f"{plant.id} has no measurement port: damping control and events need one, see MeasuredPlant")
-    if getattr(plant, "compensation", Compensation()) != Compensation():
+    if plant.compensation != Compensation():
         raise ValueError(f"{plant.id} was made with damping_gain > 0; give DampingSettings to simulate instead")
     return plant
 

@@ -284,8 +284,11 @@ class Trace:
 class MeasuredPlant(Plant, Protocol):
     """Optional capability: a measurement port, and surroundings that change between two calls.
 
-    The port is where the controller's v and i come from, and where damping control acts.
+    The port is where the controller's v and i come from, and where damping control acts;
+    ``compensation`` is what stands there unless a call says otherwise.
     """
+
+    compensation: Compensation
 
     def equilibrium(self, operating_point: OperatingPoint, source: Source) -> Any:
         """The periodic state, stable or not; `NotSettled` where there is none."""

@@ -71,9 +71,13 @@ def test_pencil_in_full(conditions, f_error_hz):
 def test_stronger_component_is_told_from_its_mirror(f_r_hz):
     """The mirror has half the amplitude and lies on the other side."""
     x = synthetic(f_r_hz, np.random.default_rng(5))
-    assert abs(matrix_pencil(x).f_hz - f_r_hz) < 0.03
+    found = matrix_pencil(x)
+    assert abs(found.f_hz - f_r_hz) < 0.03
+    assert found.mirror == pytest.approx(0.5 * found.amplitude, rel=0.03)
     if abs(f_r_hz - 50.0) > 15.0:  # Hann's main lobe
-        assert abs(sliding_fft(x).f_hz - f_r_hz) < 3.7  # half a line
+        line = sliding_fft(x)
+        assert abs(line.f_hz - f_r_hz) < 3.7  # half a line
+        assert line.mirror == pytest.approx(0.5 * line.amplitude, rel=0.1)
 
 
 def test_fft_amplitude_is_the_mean_over_the_window_less_scalloping():

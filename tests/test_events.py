@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi, sqrt
 
 import numpy as np
@@ -12,6 +13,7 @@ from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.damping import DampingSettings
 from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
+from seqsweep.plant.estimator import sliding_fft
 from seqsweep.plant.events import (
     Fault,
     GridStep,
@@ -176,6 +178,15 @@ def test_damping_ends_the_resonance_by_half_a_second(on_from_s, started_s):
     at = np.searchsorted(trajectory.decision_s, 0.52)
     assert np.all(trajectory.ratio[at:] < 0.03)
     assert trajectory.growth_per_s[-1] == pytest.approx(-8.4, rel=0.03)
+
+
+def test_paper_way_of_estimating_and_no_preset_end_it_too():
+    """The sliding FFT sees the nearest line, 78.6 Hz, and takes w_r from it."""
+    step, paper = scenario(0.60e6, GridStep(0.1, 1.4)), settings(1.4, estimator=sliding_fft)
+    trajectory = simulate(PLANT, step, replace(paper, resonance_hz=None), 0.9)
+    assert trajectory.started_s[0] < 0.35
+    assert trajectory.lost_s is None
+    assert trajectory.ratio[-1] < 0.01
 
 
 def test_at_more_power_the_step_alone_loses_synchronism_unless_damping_acts():
