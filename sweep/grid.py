@@ -17,7 +17,7 @@ import numpy as np
 MIN_WINDOW_S = 0.3
 """Shortest window (s): the fast modes of a converter die out within one."""
 
-MIN_CYCLES = 6.0
+MIN_CYCLES = 5.0
 """Cycles of the difference frequency |f - f1| in a window: keeps slow modes off the line."""
 
 MAX_WINDOW_S = 10.0

@@ -38,6 +38,10 @@ ALIKE = 0.6
 """Shortest window of a batch in parts of its longest: points of a batch run equally long."""
 
 
+TOGETHER = 4
+"""Points whose eight shots fill the lanes of a compiled plant."""
+
+
 class PlanError(ValueError):
     """A campaign that this plant cannot run, with the way out."""
 
@@ -295,11 +299,15 @@ def _check_range(conditions: tuple[Condition, ...], plant: Plant) -> None:
 
 
 def _alike(points: tuple[Frequency, ...], most: int) -> list[tuple[Frequency, ...]]:
-    """Groups of up to ``most`` points, longest windows first; none is much shorter than its group's longest."""
+    """Groups of up to ``most`` points, longest windows first.
+
+    Beyond the first few, which a compiled plant steps for the price of one, none is much shorter than
+    its group's longest.
+    """
     groups: list[list[Frequency]] = []
     for point in sorted(points, key=lambda point: (-point.window_blocks, point.f_hz)):
-        fits = groups and len(groups[-1]) < most and point.window_blocks >= ALIKE * groups[-1][0].window_blocks
-        if fits:
+        alike = groups and point.window_blocks >= ALIKE * groups[-1][0].window_blocks
+        if groups and len(groups[-1]) < (most if alike else min(most, TOGETHER)):
             groups[-1].append(point)
         else:
             groups.append([point])
