@@ -1,0 +1,146 @@
+"""Plants that tests drive: sound ones without a capability, slow ones, and ones that fail on purpose."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from math import nan
+from pathlib import Path
+
+import numpy as np
+
+from seqsweep.plant.branch import RLBranch
+from seqsweep.plant.dpmsg import ReferenceTurbine
+from seqsweep.plant.protocol import Phasors, Record
+
+
+class RecordingBranch(RLBranch):
+    """The branch without `run_phasors`."""
+
+    run_phasors = None
+
+
+class RecordingTurbine(ReferenceTurbine):
+    """The turbine without `run_phasors`."""
+
+    run_phasors = None
+
+
+class SlowBranch(RLBranch):
+    """The branch, resting for a moment in every call: a campaign long enough to be interrupted."""
+
+    def __init__(self, rest_s: float = 0.02):
+        super().__init__()
+        self.rest_s = rest_s
+
+    def run_phasors(self, jobs, windows, block_steps, n_blocks):
+        time.sleep(self.rest_s)
+        return super().run_phasors(jobs, windows, block_steps, n_blocks)
+
+
+class SlowPythonBranch(SlowBranch):
+    """As `SlowBranch`, for processes: it does not claim to release the interpreter lock."""
+
+    releases_gil = False
+
+
+class SuicidalBranch(SlowPythonBranch):
+    """Kills its own process, once: the first to find no file at ``scar`` leaves one there and is gone."""
+
+    def __init__(self, scar: str, rest_s: float = 0.02):
+        super().__init__(rest_s)
+        self.scar = scar
+
+    def run_phasors(self, jobs, windows, block_steps, n_blocks):
+        if not Path(self.scar).exists():
+            Path(self.scar).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().run_phasors(jobs, windows, block_steps, n_blocks)
+
+
+class FailingBranch(RLBranch):
+    """Fails for tones between ``low_hz`` and ``high_hz`` in the way that ``how`` says."""
+
+    def __init__(self, how: str = "raises", low_hz: float = 90.0, high_hz: float = 110.0):
+        super().__init__()
+        self.how, self.band_hz = how, (low_hz, high_hz)
+
+    def meant(self, job):
+        low, high = self.band_hz
+        return job.injection is not None and any(low < tone.f_hz < high for tone in job.injection.tones)
+
+    def run_phasors(self, jobs, windows, block_steps, n_blocks):
+        meant = [self.meant(job) for job in jobs]
+        if self.how == "raises" and any(meant):
+            raise RuntimeError("the converter tripped")
+        answers = super().run_phasors(jobs, windows, block_steps, n_blocks)
+        return [self.spoilt(a) if m else a for a, m in zip(answers, meant, strict=True)]
+
+    def spoilt(self, answer):
+        end, phasors = answer
+        if self.how == "nan":
+            return end, Phasors(np.full_like(phasors.v, nan), np.full_like(phasors.i, nan))
+        if self.how == "short":
+            return end, Phasors(phasors.v[:-1], phasors.i[:-1])
+        if self.how == "silent":
+            return end, Phasors(0.0 * phasors.v, 0.0 * phasors.i)
+        raise AssertionError(self.how)
+
+
+class FailingRecordingBranch(FailingBranch):
+    """The same faults in `run`, for the path by way of records."""
+
+    run_phasors = None
+
+    def run(self, jobs, n_steps):
+        meant = [self.meant(job) for job in jobs]
+        if self.how == "raises" and any(meant):
+            raise RuntimeError("the converter tripped")
+        answers = super().run(jobs, n_steps)
+        if self.how == "few" and len(answers) > 1:
+            return answers[:-1]
+        return [self.spoilt(a) if m else a for a, m in zip(answers, meant, strict=True)]
+
+    def spoilt(self, answer):
+        end, record = answer
+        if self.how == "nan":
+            return end, self.with_current(record, np.full_like(record.i, nan))
+        if self.how == "short":
+            return end, Record(record.t0_s, record.dt_s, record.v[:-1], record.i[:-1], record.f1_hz)
+        if self.how == "wrong step":
+            return end, Record(record.t0_s, 2.0 * record.dt_s, record.v, record.i, record.f1_hz)
+        raise AssertionError(self.how)
+
+    def with_current(self, record, i):
+        return Record(record.t0_s, record.dt_s, record.v, i, record.f1_hz)
+
+
+class DriftingBranch(RLBranch):
+    """A device that never comes to rest: its current goes on changing after it was called settled."""
+
+    def run(self, jobs, n_steps):
+        return [(end, self.drifted(record)) for end, record in super().run(jobs, n_steps)]
+
+    def drifted(self, record):
+        return Record(record.t0_s, record.dt_s, record.v, record.i * (1.0 + 1e-3 * record.time_s), record.f1_hz)
+
+
+class GrowingBranch(RLBranch):
+    """Its response to a perturbation grows for ever; unperturbed it is at rest."""
+
+    def run_phasors(self, jobs, windows, block_steps, n_blocks):
+        answers = super().run_phasors(jobs, windows, block_steps, n_blocks)
+        return [(end, self.grown(job, phasors)) for job, (end, phasors) in zip(jobs, answers, strict=True)]
+
+    def grown(self, job, phasors):
+        seconds = job.state.time_s + self.dt_s * 400 * np.arange(len(phasors.i))
+        growth = np.exp(seconds)[:, None]
+        return Phasors(phasors.v * growth, phasors.i * growth)
+
+
+class UnwillingBranch(RLBranch):
+    """Raises as soon as it is asked to settle."""
+
+    def settle(self, operating_point, source):
+        raise RuntimeError("no licence server found")
