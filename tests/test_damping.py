@@ -152,6 +152,53 @@ def test_reshaped_admittance_swept_on_an_ideal_source_is_exact():
     assert np.linalg.norm(undamped[1] - exact[1]) > 0.1 * np.linalg.norm(exact[1])
 
 
+@pytest.mark.evidence
+@pytest.mark.parametrize("k", [0.5, 1.1])
+def test_reshaped_admittance_in_full(k):
+    """1 Hz to 1 kHz. A line closer than 4 Hz to the fundamental would see its mirror through the window of 1 s."""
+    plant = damped_turbine(k)
+    state = plant.settle(OperatingPoint(0.65e6, V_PCC_V), Source())
+    f_hz = np.unique(np.geomspace(1.0, 1000.0, 80).round())
+    f_hz = f_hz[np.abs(f_hz - 50.0) >= 4.0]
+    exact = damped_admittance(f_hz, 0.65e6, V_PCC_V, k, 2.0 * pi * 77.0)
+    for settle_steps in (5000, 10000, 40000):
+        swept = np.array([sweep_point(plant, state, f, settle_steps) for f in f_hz])
+        error = np.linalg.norm(swept - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
+        at = f_hz[np.argmax(error)]
+        print(f"\nk {k}, {settle_steps * plant.dt_s:g} s of settling: error {np.median(error):.1e}, at most ", end="")
+        print(f"{np.max(error):.1e} at {at:g} Hz", end="")
+    assert np.max(error) < 1e-4
+
+
+@pytest.mark.evidence
+def test_closed_loop_figures():
+    """Poles and margins of the printed reference, and the speed of the lanes."""
+    for power_w in (0.60e6, 0.65e6):
+        terminal_voltage_v = oracle.terminal_voltage(power_w, R_OHM, L_H, 690.0)
+        for k in (0.0, 0.5):
+            pole = oracle.resonance_pole(damped_poles(power_w, terminal_voltage_v, k, 2.0 * pi * 77.0))
+            print(f"\n{power_w / 1e6:.2f} MW, 1.4 Z, k {k}: {pole.real:+.2f} +- j {pole.imag / 2 / pi:.2f} Hz", end="")
+    for k in (0.0, 0.357, 0.5, 0.9, 1.1):
+        print(f"\n0.65 MW, 1.4 Z, k {k}: m {margin_at_crossing(k, 2.0 * pi * 77.0):.3f}", end="")
+    for source in (Source(), Source("thevenin", R_OHM, L_H)):
+        for k in (0.0, 0.5):
+            print(f"\n{source.kind}, k {k}: {nanoseconds_per_step(damped_turbine(k), source):.1f} ns/step/lane", end="")
+
+
+def nanoseconds_per_step(plant: ReferenceTurbine, source: Source) -> float:
+    """Best of five runs of eight lanes with one tone each."""
+    from time import perf_counter
+
+    tone = Injection("series_voltage", (Tone(77.0, 0.5),))
+    jobs = [Job(plant.equilibrium(OperatingPoint(0.65e6, 690.0), source), tone)] * 8
+    taken = []
+    for _ in range(5):
+        start = perf_counter()
+        plant.run_phasors(jobs, [Window(77.0, 20)] * 8, 5000, 20)
+        taken.append(perf_counter() - start)
+    return min(taken) / (8 * 100000) * 1e9
+
+
 def test_reshaped_admittance_is_the_same_behind_a_grid():
     plant, f_hz = damped_turbine(), 77.0
     ideal = plant.settle(OperatingPoint(0.65e6, V_PCC_V), Source())
@@ -174,13 +221,13 @@ def test_without_gain_the_compensated_kernel_is_the_plain_one():
         np.testing.assert_allclose(other.i, one.i, rtol=0, atol=1e-6)
 
 
-def sweep_point(plant: ReferenceTurbine, state, f_hz: float) -> np.ndarray:
+def sweep_point(plant: ReferenceTurbine, state, f_hz: float, settle_steps: int = 40000) -> np.ndarray:
     """2x2 sequence admittance from injections at f and at its mirror, unperturbed branch subtracted."""
     window, steps = Window(f_hz, 20), 1000
     injections = [None, *(Injection("series_voltage", (Tone(f, 1e-4 * 563.0),)) for f in (f_hz, 100.0 - f_hz))]
     settled = [
         Job(end, inj)
-        for (end, _), inj in zip(plant.run([Job(state, i) for i in injections], 40000), injections, strict=True)
+        for (end, _), inj in zip(plant.run([Job(state, i) for i in injections], settle_steps), injections, strict=True)
     ]
     quiet, *perturbed = [phasors for _, phasors in plant.run_phasors(settled, [window] * 3, steps, 20)]
     v, i = (

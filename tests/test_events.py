@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi, sqrt
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -297,6 +298,50 @@ def test_fault_conductance_is_that_of_the_phases(kind):
     phases = {"a-b-c": np.eye(3) / r, "a-g": np.diag([1, 0, 0]) / r, "b-c-g": np.diag([0, 1, 1]) / r, "b-c": between}
     aa, ab, bb = fault_conductance(kind, r)
     np.testing.assert_allclose([[aa, ab], [ab, bb]], clarke @ phases[kind] @ back, atol=1e-12)
+
+
+# ---------------------------------------------------------------- figures for the docs
+
+
+@pytest.mark.evidence
+def test_story_in_figures():
+    step = {power_w: scenario(power_w, GridStep(0.1, 1.4)) for power_w in (0.60e6, 0.65e6)}
+    for power_w, on_from_s, damped in (
+        (0.60e6, None, False),
+        (0.60e6, 0.25, True),
+        (0.60e6, None, True),
+        (0.65e6, None, False),
+        (0.65e6, None, True),
+        (0.65e6, 0.15, True),
+    ):
+        start = perf_counter()
+        trajectory = simulate(PLANT, step[power_w], settings(1.4) if damped else None, 1.0, on_from_s=on_from_s)
+        taken_s = perf_counter() - start
+        gone = trajectory.decision_s[trajectory.ratio > 0.03][-1]
+        print(
+            f"\n{power_w / 1e6:.2f} MW, damping {damped}, on {trajectory.started_s}, lost {trajectory.lost_s}, ", end=""
+        )
+        print(
+            f"r > 3 % until {gone:.2f} s, growth at the end {trajectory.growth_per_s[-1]:+.1f}/s, {taken_s:.2f} s wall"
+        )
+        for from_s in (0.15, 0.30, 0.45, 0.60):
+            print(f"  76.5 Hz: {component_ratio(trajectory, 76.5, from_s, from_s + 0.15):.3f}", end="")
+    assert not trajectory.lost_s
+
+
+@pytest.mark.evidence
+def test_faults_in_figures():
+    """Loss of synchronism is the turbine's, not the damping control's; a start is what must not be."""
+    for scale in (0.648, 1.0, 1.2):
+        for kind in ("a-b-c", "a-g", "b-c", "b-c-g"):
+            for r_ohm in (0.001, 0.01, 0.05):
+                fault = scenario(0.60e6, Fault(0.1, 0.04, kind, r_ohm), scale=scale)
+                trajectory = simulate(PLANT, fault, settings(scale), 0.7)
+                after = trajectory.ratio[trajectory.decision_s > 0.15]
+                highest = np.max(after[np.isfinite(after)], initial=0.0)
+                lost = f"lost at {trajectory.lost_s:.3f} s" if trajectory.lost_s else f"r <= {highest:.4f} after it"
+                print(f"\n{scale} Z, {kind}, {r_ohm} ohm: starts {trajectory.started_s}, {lost}", end="")
+                assert trajectory.started_s == ()
 
 
 # ---------------------------------------------------------------- refusals
