@@ -1,0 +1,222 @@
+"""Kernel: ns per step and lane, against a floor counted from the kernel's own operations.
+
+Several fresh processes, because the stack's alignment is drawn anew in each. The floor: the Python of
+the kernel is run on numbers that count what is done to them; a product that goes straight into a sum
+is one operation with it (fused). Each operation costs what a fused pair, a division or a square
+root costs in a loop of nothing else, compiled by the same compiler on the same core. Loads and
+stores are free in this count, so that no kernel can quite reach it.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from statistics import median
+from types import SimpleNamespace
+from typing import Any
+
+from harness import Report, fresh, run_script, seconds
+
+SOURCES = ("ideal", "thevenin")
+BAR_NS = 22.0
+STRETCH_NS = 15.0
+
+
+def measure(quick: bool) -> Report:
+    """Figures of the kernel."""
+    counts = fresh(__file__, {"NUMBA_DISABLE_JIT": "1"}, what="count")
+    runs = [fresh(__file__, what="time") for _ in range(3 if quick else 9)]
+    report = Report("Kernel: RK4 of the complete turbine, 8 lanes, 50 us, one tone, phasors accumulated")
+    price = {kind: min(run["price"][kind] for run in runs) for kind in ("arithmetic", "division", "root")}
+    for source in SOURCES:
+        times = [run[source] for run in runs]
+        floor = sum(price[kind] * counts[source][kind] for kind in price)
+        report.add(f"{source}, median of {len(runs)} processes", median(times), "ns/step/lane", BAR_NS)
+        report.add(f"{source}, best process", min(times), "ns/step/lane")
+        report.add(f"{source}, slowest process", max(times), "ns/step/lane")
+        report.add(f"{source}, operations (fused pairs count once)", counts[source]["arithmetic"], "per step and lane")
+        report.add(f"{source}, divisions and square roots", _slow(counts[source]), "per step and lane")
+        report.add(f"{source}, counted floor", floor, "ns/step/lane")
+        report.add(f"{source}, median over floor", median(times) / floor, "", 1.5)
+    for kind, ns in price.items():
+        report.add(f"price of one {kind}", ns, "ns/lane")
+    report.series = {"processes": {source: [run[source] for run in runs] for source in SOURCES}}
+    return report
+
+
+def _slow(count: dict[str, int]) -> int:
+    return count["division"] + count["root"]
+
+
+def child(what: str) -> dict[str, Any]:
+    """One process: counts, or times and prices."""
+    return _counted() if what == "count" else _timed()
+
+
+# Times
+
+
+def _timed() -> dict[str, Any]:
+    found: dict[str, Any] = {"price": _prices()}
+    for source in SOURCES:
+        advance, arguments = _experiment(source)
+        n_steps = 20000
+        advance(*arguments, 10)
+        times = seconds(lambda a=advance, b=arguments: a(*b, n_steps), 7)
+        found[source] = median(times) / (n_steps * 8) * 1e9
+    return found
+
+
+def _experiment(source_kind: str) -> tuple[Any, tuple[Any, ...]]:
+    """A kernel and its arguments but for the number of steps: eight lanes with a tone at 77 Hz each."""
+    from seqsweep.plant.dpmsg import ReferenceTurbine
+    from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
+    from seqsweep.plant.kernels import turbine as kernel
+    from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
+
+    plant = ReferenceTurbine()
+    source = Source() if source_kind == "ideal" else Source("thevenin", LINE_R_OHM, LINE_L_H)
+    state = plant.equilibrium(OperatingPoint(0.65e6, 690.0), source)
+    job = Job(state, Injection("series_voltage", (Tone(77.0, 0.5),)))
+    ((lanes, _, ideal, n_tones),) = plant._batches([job] * kernel.LANES, [Window(77.0, 15)] * kernel.LANES, 400)
+    advance = kernel.advance_ideal if ideal else kernel.advance_thevenin
+    return advance, (lanes, n_tones, plant.parameters, plant.dt_s)
+
+
+def _prices() -> dict[str, float]:
+    """ns per lane of a fused pair, a division, a square root, in vector loops of nothing else."""
+    import numpy as np
+    from numba import njit
+
+    @njit(fastmath={"nsz", "contract"}, error_model="numpy")
+    def fused(x: Any, n: int) -> None:
+        for _ in range(n):
+            for i in range(64):
+                y = x[i]
+                for _ in range(16):
+                    y = y * y + 0.1  # not affine: nothing to fold
+                x[i] = y
+
+    @njit(fastmath={"nsz", "contract"}, error_model="numpy")
+    def divided(x: Any, n: int) -> None:
+        for _ in range(n):
+            for i in range(64):
+                y = x[i]
+                for _ in range(8):
+                    y = 1.5 / y
+                x[i] = y
+
+    @njit(fastmath={"nsz", "contract"}, error_model="numpy")
+    def rooted(x: Any, n: int) -> None:
+        for _ in range(n):
+            for i in range(64):
+                y = x[i]
+                for _ in range(8):
+                    y = math.sqrt(y)
+                x[i] = y
+
+    prices = {}
+    for kind, loop, depth in (("arithmetic", fused, 16), ("division", divided, 8), ("root", rooted, 8)):
+        x = np.full(64, 0.2)
+        loop(x, 10)
+        prices[kind] = min(seconds(lambda f=loop, a=x: f(a, 2000), 9)) / (2000 * 64 * depth) * 1e9
+    return prices
+
+
+# The count
+
+
+class _Counting:
+    """A number that counts what is done to it; constants of a run are plain floats and cost nothing."""
+
+    tally: Counter[str] = Counter()
+    __slots__ = ("product", "value")
+
+    def __init__(self, value: float, product: bool = False):
+        self.value, self.product = float(value), product
+
+    def _add(self, other: Any, sign: float) -> _Counting:
+        for term in (self, other):
+            if isinstance(term, _Counting) and term.product:
+                term.product = False  # the product and this sum are one operation, already counted
+                break
+        else:
+            self.tally["arithmetic"] += 1
+        return _Counting(self.value + sign * _value(other))
+
+    def __add__(self, other: Any) -> _Counting:
+        return self._add(other, 1.0)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> _Counting:
+        return self._add(other, -1.0)
+
+    def __rsub__(self, other: Any) -> _Counting:
+        return (-self)._add(other, 1.0)
+
+    def __neg__(self) -> _Counting:
+        negative = _Counting(-self.value, self.product)
+        self.product = False
+        return negative
+
+    def __mul__(self, other: Any) -> _Counting:
+        self.tally["arithmetic"] += 1
+        return _Counting(self.value * _value(other), product=True)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> _Counting:
+        if not isinstance(other, _Counting):  # by a constant of the run: times its inverse
+            return self * (1.0 / other)
+        return other.__rtruediv__(self)
+
+    def __rtruediv__(self, other: Any) -> _Counting:
+        self.tally["division"] += 1
+        return _Counting(_value(other) / self.value)
+
+    def __lt__(self, other: Any) -> bool:
+        self.tally["arithmetic"] += 1  # a minimum or maximum
+        return self.value < _value(other)
+
+    __gt__ = __lt__  # which of the two is chosen does not change the count
+
+
+def _value(x: Any) -> float:
+    return x.value if isinstance(x, _Counting) else float(x)
+
+
+def _floor(x: _Counting) -> _Counting:
+    x.tally["arithmetic"] += 1
+    return _Counting(math.floor(x.value))
+
+
+def _sqrt(x: _Counting) -> _Counting:
+    x.tally["root"] += 1
+    return _Counting(math.sqrt(x.value))
+
+
+def _counted() -> dict[str, dict[str, int]]:
+    """Operations of one step of one lane; the kernel runs as plain Python."""
+    import numpy as np
+
+    assert os.environ["NUMBA_DISABLE_JIT"] == "1"
+    from seqsweep.plant.kernels import turbine as kernel
+
+    found = {}
+    for source in SOURCES:
+        advance, (lanes, n_tones, parameters, dt_s) = _experiment(source)
+        x = np.array([_Counting(value) for value in lanes], dtype=object)
+        shim = SimpleNamespace(floor=_floor, sqrt=_sqrt, pi=math.pi, exp=math.exp, cos=math.cos, sin=math.sin)
+        kernel.math, whole = shim, kernel.math
+        _Counting.tally.clear()
+        advance(x, n_tones, parameters, dt_s, 1)
+        kernel.math = whole
+        tally = _Counting.tally
+        found[source] = {kind: tally[kind] // kernel.LANES for kind in ("arithmetic", "division", "root")}
+    return found
+
+
+if __name__ == "__main__":
+    run_script("kernel", measure, child)
