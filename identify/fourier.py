@@ -77,7 +77,7 @@ def harmonics(x: np.ndarray, t0_s: float, dt_s: float) -> np.ndarray:
     return np.fft.fft(x) / n * np.exp(-2j * np.pi * ((k * (t0_s / (n * dt_s))) % 1.0))
 
 
-def periodic_window(lines: np.ndarray, n_cycles: int, n_blocks: int) -> complex:
+def periodic_window(lines: np.ndarray, n_cycles: int, n_blocks: int, start: float = 0.0) -> complex:
     """What a tapered window hears, at its line ``n_cycles`` (whole cycles per window), of a signal
     that repeats every block.
 
@@ -87,6 +87,8 @@ def periodic_window(lines: np.ndarray, n_cycles: int, n_blocks: int) -> complex:
         `harmonics` of one block.
     n_cycles, n_blocks : int
         Signed cycles of the line in the window; blocks in the window.
+    start : float
+        Begin of the window, in windows since time zero: the taper begins there, the line at zero.
 
     Notes
     -----
@@ -96,5 +98,6 @@ def periodic_window(lines: np.ndarray, n_cycles: int, n_blocks: int) -> complex:
     for distance in range(-2, 3):
         harmonic, rest = divmod(n_cycles - distance, n_blocks)
         if rest == 0 and abs(harmonic) < len(lines) // 2:
-            heard += lines[harmonic] * (1.0 if distance == 0 else 0.5 * TAPER[abs(distance)] / TAPER[0])
+            weight = 1.0 if distance == 0 else 0.5 * TAPER[abs(distance)] / TAPER[0]
+            heard += weight * lines[harmonic] * np.exp(-2j * np.pi * ((distance * start) % 1.0))
     return heard

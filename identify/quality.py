@@ -59,10 +59,11 @@ def first_agreement(v: np.ndarray, i: np.ndarray, tolerance: float) -> Settled:
     """
     residual, k = np.inf, 0
     for k in range(1, len(v)):
-        residual = max(_change(v[k - 1], v[k]), _change(i[k - 1], i[k]))
+        residual = float(np.max([_change(v[k - 1], v[k]), _change(i[k - 1], i[k])]))  # NaN if either is
         if residual <= tolerance or not np.isfinite(residual):
             break
-    growth = float(np.linalg.norm(i[k]) / np.linalg.norm(i[k - 1])) if k else 1.0
+    before = float(np.linalg.norm(i[k - 1]))
+    growth = float(np.linalg.norm(i[k])) / before if before else 1.0
     return Settled(v[k], i[k], residual, k, residual <= tolerance, growth)
 
 

@@ -75,7 +75,7 @@ def coherent_block(f1_hz: float, dt_s: float) -> Block:
         better = 1.0 / (f1_hz * round(1.0 / (f1_hz * dt_s)))
         raise GridError(
             f"no whole number of steps of {dt_s:g} s holds whole periods of {f1_hz:g} Hz within 1 s: "
-            f"use a step such as {better:.9g} s"
+            f"use a step such as {better!r} s"
         )
     steps, periods = periods_per_step.denominator, periods_per_step.numerator
     return Block(steps, periods, periods / f1_hz)

@@ -81,6 +81,8 @@ class _Baseline(NamedTuple):
         Where every shot branches from.
     v, i : (n,) complex
         `harmonics` of one block.
+    t0_s : float
+        Time of that state (s).
     phi1 : float
         Angle of the fundamental voltage at time zero (rad).
     change : float
@@ -92,6 +94,7 @@ class _Baseline(NamedTuple):
     state: Any
     v: np.ndarray
     i: np.ndarray
+    t0_s: float
     phi1: float
     change: float
     terminal_voltage_v: float
@@ -151,7 +154,7 @@ def _baseline(plant: Plant, plan: Plan, batch: Batch) -> _Baseline:
     v, i = (harmonics(x[:steps], record.t0_s, plan.dt_s) for x in (record.v, record.i))
     fundamental = line(record.v[:steps], plan.f1_hz, record.t0_s, plan.dt_s)
     change = max(period_change(record.v), period_change(record.i))
-    return _Baseline(state, v, i, float(np.angle(fundamental)), change, abs(fundamental) * 1.5**0.5)
+    return _Baseline(state, v, i, record.t0_s, float(np.angle(fundamental)), change, abs(fundamental) * 1.5**0.5)
 
 
 # Driving
@@ -229,20 +232,20 @@ def _listen_phasors(
         heard.append([phasors for _, phasors in answers])
     cleaned = []
     for job, window, parts in zip(jobs, listening, zip(*heard, strict=True), strict=True):
-        v = _without(np.concatenate([part.v for part in parts]), baseline.v, plan, window)
-        i = _without(np.concatenate([part.i for part in parts]), baseline.i, plan, window)
+        v = _without(np.concatenate([part.v for part in parts]), baseline.v, baseline.t0_s, plan, window)
+        i = _without(np.concatenate([part.i for part in parts]), baseline.i, baseline.t0_s, plan, window)
         cleaned.append((job.state, Phasors(v, i)))
     return cleaned
 
 
-def _without(x: np.ndarray, lines: np.ndarray, plan: Plan, window: Window) -> np.ndarray:
+def _without(x: np.ndarray, lines: np.ndarray, t0_s: float, plan: Plan, window: Window) -> np.ndarray:
     """Block sums less an equal share of what the window hears of the baseline.
 
     Only whole windows are ever used, so the share of a single block is a matter of bookkeeping.
     """
     window_s = window.n_blocks * plan.block.duration_s
     pair = (window.f_hz, 2.0 * plan.f1_hz - window.f_hz)
-    heard = [periodic_window(lines, round(f * window_s), window.n_blocks) for f in pair]
+    heard = [periodic_window(lines, round(f * window_s), window.n_blocks, t0_s / window_s) for f in pair]
     return x - np.array(heard) / window.n_blocks
 
 
