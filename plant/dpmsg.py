@@ -116,14 +116,14 @@ class ReferenceTurbine:
         if unknown:
             known = (*_DAMPING_RANGES, *TurbineParameters._fields)
             raise ValueError(f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
-        damping = (damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz)
+        damping = [float(x) for x in (damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz)]
         for (name, (low, high, unit)), value in zip(_DAMPING_RANGES.items(), damping, strict=True):
             if not low <= value <= high:
                 raise ValueError(f"{name} is {value:g}{unit}; {self.id} takes {low:g} to {high:g}{unit}")
         if not 0.0 < dt_s <= 5e-4:
             raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
-        self.compensation = compensation(*map(float, damping))
+        self.compensation = compensation(*damping)
         self.dt_s = float(dt_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
@@ -177,10 +177,14 @@ class ReferenceTurbine:
         the equations say. With an ideal source the shunt (1e5 rad/s) and the unused line are left out,
         without compensation its notch.
         """
-        n_steps, n_values = 10, len(state.values)
-        kept = [*range(13 if state.source.kind == "ideal" else 17), *(range(17, 21) if self._compensated else [])]
+        from .kernels import turbine as kernel
+
+        n_steps = 10
+        kept = [*range(kernel.V_C_RE if state.source.kind == "ideal" else kernel.NOTCH)]
+        if self._compensated:
+            kept += range(kernel.NOTCH, kernel.N_STATES)
         scale = 1e-5 * np.maximum(np.abs(state.values[kept]), 1.0)
-        units = np.eye(n_values)[kept]
+        units = np.eye(kernel.N_STATES)[kept]
         moved = [state.values + sign * step * unit for step, unit in zip(scale, units, strict=True) for sign in (1, -1)]
         jobs = [Job(self._state(state.step, x, state.wind_m_s, state.v_source, state.source), None) for x in moved]
         ends = np.array([end.values[kept] for end, _ in self.run(jobs, n_steps)])

@@ -57,7 +57,7 @@ class Resonance:
 
     @property
     def ratio(self) -> float:
-        """r = A_r / A_0, eq. (14); NaN without a fundamental."""
+        """r = A_r / A_0, eq. (13); NaN without a fundamental."""
         return self.amplitude / self.fundamental if self.fundamental > 0.0 else float("nan")
 
 
