@@ -32,6 +32,10 @@ DIVERGED_PU = 10.0
 """A response this many times the rated peak has left the small signal for good."""
 
 
+HEARD_PU = 1e-10
+"""Below this part of the rated peak a voltage is what rounding left of the steady state."""
+
+
 class PlantFault(Exception):
     """The plant broke its promise; the message says how."""
 
@@ -227,7 +231,7 @@ def _listen_phasors(
     heard: list[list[Phasors]] = []
     for first in range(0, n_blocks, RUN_BLOCKS):
         windows_now = [window._replace(first_block=window.first_block + first) for window in listening]
-        answers = plant.run_phasors(jobs, windows_now, plan.block.steps, RUN_BLOCKS)
+        answers = _run_phasors(plant, jobs, windows_now, plan.block.steps, RUN_BLOCKS)
         jobs = [Job(state, job.injection) for (state, _), job in zip(answers, jobs, strict=True)]
         heard.append([phasors for _, phasors in answers])
     cleaned = []
@@ -280,6 +284,22 @@ def _run(plant: Plant, jobs: list[Job], n_steps: int) -> list[tuple[Any, Record]
     return answers
 
 
+def _run_phasors(
+    plant: PhasorPlant, jobs: list[Job], listening: list[Window], block_steps: int, n_blocks: int
+) -> list[tuple[Any, Phasors]]:
+    """`PhasorPlant.run_phasors`, held to its promise of as many blocks as asked."""
+    answers = plant.run_phasors(jobs, listening, block_steps, n_blocks)
+    if len(answers) != len(jobs):
+        raise PlantFault(f"run_phasors gave {len(answers)} answers to {len(jobs)} jobs")
+    for _, phasors in answers:
+        shapes = np.shape(phasors.v), np.shape(phasors.i)
+        if shapes != ((n_blocks, 2), (n_blocks, 2)):
+            raise PlantFault(
+                f"run_phasors gave v and i of shapes {shapes[0]} and {shapes[1]}; ({n_blocks}, 2) is needed"
+            )
+    return answers
+
+
 # Solving and judging
 
 
@@ -309,6 +329,8 @@ def _judge_response(
     size = max(np.max(np.abs(i)) / plant.rating.peak_current_a, np.max(np.abs(v)) / plant.rating.peak_voltage_v)
     if size > DIVERGED_PU:
         return "diverged", f"the response reaches {size:.2g} times the rated peak"
+    if np.min(np.max(np.abs(v), axis=1)) < HEARD_PU * plant.rating.peak_voltage_v:
+        return "ill_conditioned", "the perturbation does not arrive: an experiment shows no voltage at its lines"
     worst = max(pair, key=lambda s: s.residual)
     if worst.agreed:
         return "ok", ""

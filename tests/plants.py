@@ -12,7 +12,7 @@ import numpy as np
 
 from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.protocol import Phasors, Record
+from seqsweep.plant.protocol import Job, Phasors, Record
 
 
 class RecordingBranch(RLBranch):
@@ -114,6 +114,14 @@ class FailingRecordingBranch(FailingBranch):
 
     def with_current(self, record, i):
         return Record(record.t0_s, record.dt_s, record.v, i, record.f1_hz)
+
+
+class LateBranch(RLBranch):
+    """Finds its steady state by waiting: its time is not zero then, nor a whole number of periods."""
+
+    def settle(self, operating_point, source):
+        ((late, _),) = self.run([Job(super().settle(operating_point, source), None)], 4321)
+        return late
 
 
 class DriftingBranch(RLBranch):

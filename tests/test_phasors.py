@@ -241,10 +241,13 @@ def test_v_and_i_must_both_agree():
     assert not first_agreement(moving, still, 1e-3).agreed
 
 
-def test_silence_and_nan_never_agree():
+def test_nan_never_agrees_and_no_current_at_all_does():
+    """An open terminal has the admittance zero, and is entitled to it."""
     ones = np.ones((3, 2), complex)
-    assert not first_agreement(ones, np.zeros((3, 2), complex), 1.0).agreed
     assert not first_agreement(ones, ones * np.nan, 1.0).agreed
+    assert not first_agreement(ones * np.nan, ones, 1.0).agreed
+    assert first_agreement(ones, np.zeros((3, 2), complex), 1e-9).agreed
+    assert not first_agreement(ones, np.array([[1.0] * 2, [0.0] * 2]), 1e-9).agreed
 
 
 def test_the_growth_from_window_to_window_is_told():
