@@ -58,12 +58,15 @@ def child(what: str) -> dict[str, Any]:
 
 
 def _timed() -> dict[str, Any]:
+    import numpy as np
+
     found: dict[str, Any] = {"price": _prices()}
     for source in SOURCES:
         advance, arguments = _experiment(source)
         n_steps = 20000
-        advance(*arguments, 10)
-        times = seconds(lambda a=advance, b=arguments: a(*b, n_steps), 7)
+        kept = np.empty((1, 8, 8))
+        advance(*arguments, 10, 0, kept)
+        times = seconds(lambda a=advance, b=arguments, k=kept: a(*b, n_steps, 0, k), 7)
         found[source] = median(times) / (n_steps * 8) * 1e9
     return found
 
@@ -79,8 +82,7 @@ def _experiment(source_kind: str) -> tuple[Any, tuple[Any, ...]]:
     source = Source() if source_kind == "ideal" else Source("thevenin", LINE_R_OHM, LINE_L_H)
     state = plant.equilibrium(OperatingPoint(0.65e6, 690.0), source)
     job = Job(state, Injection("series_voltage", (Tone(77.0, 0.5),)))
-    ((lanes, _, ideal, n_tones),) = plant._batches([job] * kernel.LANES, [Window(77.0, 15)] * kernel.LANES, 400)
-    advance = kernel.advance_ideal if ideal else kernel.advance_thevenin
+    ((lanes, _, advance, n_tones),) = plant._batches([job] * kernel.LANES, [Window(77.0, 15)] * kernel.LANES, 400)
     return advance, (lanes, n_tones, plant.parameters, plant.dt_s)
 
 
@@ -211,7 +213,7 @@ def _counted() -> dict[str, dict[str, int]]:
         shim = SimpleNamespace(floor=_floor, sqrt=_sqrt, pi=math.pi, exp=math.exp, cos=math.cos, sin=math.sin)
         kernel.math, whole = shim, kernel.math
         _Counting.tally.clear()
-        advance(x, n_tones, parameters, dt_s, 1)
+        advance(x, n_tones, parameters, dt_s, 1, 0, np.empty((1, 8, 8), dtype=object))
         kernel.math = whole
         tally = _Counting.tally
         found[source] = {kind: tally[kind] // kernel.LANES for kind in ("arithmetic", "division", "root")}

@@ -8,7 +8,7 @@ space vectors in load direction.
 from __future__ import annotations
 
 import cmath
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, pi, sqrt
 
@@ -258,14 +258,23 @@ class ReferenceTurbine:
     def _compensated(self) -> bool:
         return self.compensation != Compensation()
 
+    def _kernel(self, source_kind: str) -> Callable[..., None]:
+        """The kernel for a source; only that one is compiled or loaded."""
+        from .kernels import turbine as kernel
+
+        ideal = source_kind == "ideal"
+        if self._compensated:
+            return kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated
+        return kernel.advance_ideal if ideal else kernel.advance_thevenin
+
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
         from .kernels import turbine as kernel
 
         results: list[tuple[TurbineState, Record]] = [None] * len(jobs)  # type: ignore[list-item]
-        for lanes, members, ideal, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
+        for lanes, members, advance, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
             samples = np.empty((n_steps, 4, kernel.LANES))
-            kernel.advance_recording(lanes, ideal, self._compensated, n_tones, self.parameters, self.dt_s, samples)
+            advance(lanes, n_tones, self.parameters, self.dt_s, 1, kernel.V_RE, samples)
             ends = self._ends(lanes, [jobs[m] for m in members], n_steps)
             for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
                 results[member] = end, self._record(jobs[member].state, samples[:, :, lane])
@@ -278,11 +287,9 @@ class ReferenceTurbine:
         from .kernels import turbine as kernel
 
         results: list[tuple[TurbineState, Phasors]] = [None] * len(jobs)  # type: ignore[list-item]
-        for lanes, members, ideal, n_tones in self._batches(jobs, windows, block_steps):
+        for lanes, members, advance, n_tones in self._batches(jobs, windows, block_steps):
             sums = np.empty((n_blocks, 8, kernel.LANES))
-            kernel.advance_blocks(
-                lanes, ideal, self._compensated, n_tones, self.parameters, self.dt_s, block_steps, sums
-            )
+            advance(lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
             ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
             for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
                 results[member] = end, _phasors(sums[:, :, lane])
@@ -337,8 +344,8 @@ class ReferenceTurbine:
 
     def _batches(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
-    ) -> Iterator[tuple[np.ndarray, list[int], bool, int]]:
-        """Flat arrays of up to LANES jobs of one source kind: (array, job indices, ideal, tones)."""
+    ) -> Iterator[tuple[np.ndarray, list[int], Callable[..., None], int]]:
+        """Flat arrays of up to LANES jobs of one source kind: (array, job indices, kernel, tones)."""
         from .kernels.turbine import LANES
 
         for kind in ("ideal", "thevenin"):
@@ -347,7 +354,7 @@ class ReferenceTurbine:
                 members = of_kind[first : first + LANES]
                 n_tones = max(_n_tones(jobs[m].injection) for m in members)
                 slots = self._fill([jobs[m] for m in members], [windows[m] for m in members], block_steps, n_tones)
-                yield slots.ravel(), members, kind == "ideal", n_tones
+                yield slots.ravel(), members, self._kernel(kind), n_tones
 
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
         from .kernels import turbine as kernel

@@ -253,8 +253,10 @@ def test_damping_parameters_are_refused_in_words(given, words):
         ReferenceTurbine(**given)
 
 
-@pytest.mark.parametrize("name", ["advance_ideal_compensated", "advance_thevenin_compensated"])
-def test_compensated_lanes_are_vector_code(name):
+@pytest.mark.parametrize(
+    "name", ["advance_ideal", "advance_thevenin", "advance_ideal_compensated", "advance_thevenin_compensated"]
+)
+def test_lanes_are_vector_code(name):
     """A scalar kernel would be three to four times slower. Compiled anew: cached code cannot be looked at."""
     from numba import njit
     from numba.core import config
@@ -264,7 +266,8 @@ def test_compensated_lanes_are_vector_code(name):
     if config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     kernel = njit(nogil=True, fastmath=turbine._FAST, error_model="numpy")(getattr(turbine, name).py_func)
-    kernel(np.ones(turbine.array_slots(0) * turbine.LANES), 0, TABLE_I, 5e-5, 0)
+    kept = np.empty((1, 8, turbine.LANES))
+    kernel(np.ones(turbine.array_slots(0) * turbine.LANES), 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
     (code,) = kernel.inspect_asm().values()
     if "ymm" not in code and "zmm" not in code:
         pytest.skip("this processor has no wide vectors")

@@ -414,223 +414,265 @@ def _source_of_step(x, n_tones, middle):
             x[first + i] = x[TONE * LANES + i]
 
 
-@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal(x, n_tones, p, h, n_steps):
-    """``n_steps`` steps with the source at the PCC itself."""
-    decay = math.exp(-h / (p.r_f_ohm * p.c_f_f))
-    decay_re, decay_im = decay * math.cos(p.w1_rad_s * h), -decay * math.sin(p.w1_rad_s * h)
-    for _ in range(n_steps):
-        _source_of_step(x, n_tones, False)
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _step_ideal(x, n_tones, p, h, decay):
+    """One step with the source at the PCC itself; ``decay`` is the shunt's over a step."""
+    decay_re, decay_im = decay
+    _source_of_step(x, n_tones, False)
+    for lane in range(LANES):
+        wind = x[WIND * LANES + lane]
+        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        y = _load_13(x, lane)
+        v_c_re, v_c_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
+        _listen(
+            x,
+            lane,
+            v0_re,
+            v0_im,
+            y[I_L_RE] - (v0_re - v_c_re) / p.r_f_ohm,
+            y[I_L_IM] - (v0_im - v_c_im) / p.r_f_ohm,
+        )
+        # Shunt: exact forced response plus the decaying rest of what went before.
+        rest_re, rest_im = v_c_re - x[(SOURCE + 6) * LANES + lane], v_c_im - x[(SOURCE + 7) * LANES + lane]
+        x[V_C_RE * LANES + lane] = x[(SOURCE + 8) * LANES + lane] + rest_re * decay_re - rest_im * decay_im
+        x[V_C_IM * LANES + lane] = x[(SOURCE + 9) * LANES + lane] + rest_im * decay_re + rest_re * decay_im
+        c, s = _cos_sin(y[DELTA])
+        k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, wind, p)
+        z = _moved_13(y, 0.5 * h, k1)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
+        z = _moved_13(y, 0.5 * h, k2)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
+        z = _moved_13(y, h, k3)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, wind, p)
+        y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+        _store_13(x, lane, y)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _step_thevenin(x, n_tones, p, h):
+    """One step behind the lane's Thevenin impedance."""
+    _source_of_step(x, n_tones, False)
+    for lane in range(LANES):
+        wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        y = _load_13(x, lane) + (
+            x[V_C_RE * LANES + lane],
+            x[V_C_IM * LANES + lane],
+            x[I_G_RE * LANES + lane],
+            x[I_G_IM * LANES + lane],
+        )
+        _listen(
+            x,
+            lane,
+            y[V_C_RE] + p.r_f_ohm * (y[I_L_RE] - y[I_G_RE]),
+            y[V_C_IM] + p.r_f_ohm * (y[I_L_IM] - y[I_G_IM]),
+            y[I_G_RE],
+            y[I_G_IM],
+        )
+        c, s = _cos_sin(y[DELTA])
+        k1 = _behind_grid(y, v0_re, v0_im, c, s, wind, r, l_1, p)
+        z = _moved_17(y, 0.5 * h, k1)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k2 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
+        z = _moved_17(y, 0.5 * h, k2)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k3 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
+        z = _moved_17(y, h, k3)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k4 = _behind_grid(z, v2_re, v2_im, cz, sz, wind, r, l_1, p)
+        y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+        _store_13(x, lane, y)
+        x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = y[V_C_RE], y[V_C_IM]
+        x[I_G_RE * LANES + lane], x[I_G_IM * LANES + lane] = y[I_G_RE], y[I_G_IM]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _step_ideal_compensated(x, n_tones, p, h, decay):
+    """`_step_ideal` with the lanes' compensation before the controller; ``decay`` is over half a step."""
+    half_re, half_im = decay
+    _source_of_step(x, n_tones, True)
+    for lane in range(LANES):
+        wind, block = x[WIND * LANES + lane], _load_4(x, COMP_R, lane)
+        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
+        # Shunt: exact forced response plus the decaying rest of what went before.
+        c0_re, c0_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
+        rest_re, rest_im = c0_re - x[(SOURCE + 6) * LANES + lane], c0_im - x[(SOURCE + 7) * LANES + lane]
+        rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
+        c1_re, c1_im = x[(SOURCE + 10) * LANES + lane] + rest_re, x[(SOURCE + 11) * LANES + lane] + rest_im
+        rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
+        c2_re, c2_im = x[(SOURCE + 8) * LANES + lane] + rest_re, x[(SOURCE + 9) * LANES + lane] + rest_im
+        x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = c2_re, c2_im
+        _listen(
+            x,
+            lane,
+            v0_re,
+            v0_im,
+            y[I_L_RE] - (v0_re - c0_re) / p.r_f_ohm,
+            y[I_L_IM] - (v0_im - c0_im) / p.r_f_ohm,
+        )
+        c, s = _cos_sin(y[DELTA])
+        k1, m1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, wind, block, p)
+        z, o = _moved_13(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k2, m2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
+        z, o = _moved_13(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k3, m3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
+        z, o = _moved_13(y, h, k3), _moved_4(n, h, m3)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k4, m4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, wind, block, p)
+        y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+        n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
+        _store_13(x, lane, y)
+        _store_4(x, NOTCH, lane, n)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _step_thevenin_compensated(x, n_tones, p, h, turn):
+    """`_step_thevenin` with compensation, and the lanes' fault at the PCC, turned by ``turn`` a half step."""
+    turn_re, turn_im = turn
+    _source_of_step(x, n_tones, False)
+    for lane in range(LANES):
+        constants = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+        block = _load_4(x, COMP_R, lane)
+        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
+        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
+        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        share, re, im = (
+            x[FAULT_SHARE * LANES + lane],
+            x[FAULT_SKEW_RE * LANES + lane],
+            x[FAULT_SKEW_IM * LANES + lane],
+        )
+        fault_0 = share, re, im
+        re, im = re * turn_re - im * turn_im, im * turn_re + re * turn_im
+        fault_1 = share, re, im
+        re, im = re * turn_re - im * turn_im, im * turn_re + re * turn_im
+        fault_2 = share, re, im
+        x[FAULT_SKEW_RE * LANES + lane], x[FAULT_SKEW_IM * LANES + lane] = re, im
+        y, n = _load_13(x, lane) + _load_4(x, V_C_RE, lane), _load_4(x, NOTCH, lane)
+        v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(y, fault_0, p)
+        _listen(x, lane, v_pcc_re, v_pcc_im, y[I_L_RE] - i_f_re, y[I_L_IM] - i_f_im)
+        c, s = _cos_sin(y[DELTA])
+        k1, m1 = _grid_compensated(y, n, v0_re, v0_im, fault_0, c, s, constants, block, p)
+        z, o = _moved_17(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k2, m2 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
+        z, o = _moved_17(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k3, m3 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
+        z, o = _moved_17(y, h, k3), _moved_4(n, h, m3)
+        cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
+        k4, m4 = _grid_compensated(z, o, v2_re, v2_im, fault_2, cz, sz, constants, block, p)
+        y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
+        n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
+        _store_13(x, lane, y)
+        _store_4(x, V_C_RE, lane, y[V_C_RE:])
+        _store_4(x, NOTCH, lane, n)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _shunt_decay(p, duration):
+    """What is left, after ``duration``, of a free voltage of the ideal source's shunt: re, im in the dq frame."""
+    decay = math.exp(-duration / (p.r_f_ohm * p.c_f_f))
+    return decay * math.cos(p.w1_rad_s * duration), -decay * math.sin(p.w1_rad_s * duration)
+
+
+@njit(forceinline=True)
+def _clear_sums(x):
+    for i in range(8 * LANES):
+        x[SUM_V * LANES + i] = 0.0
+
+
+@njit(forceinline=True)
+def _keep(x, slot, kept, block):
+    for quantity in range(kept.shape[1]):
         for lane in range(LANES):
-            wind = x[WIND * LANES + lane]
-            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
-            y = _load_13(x, lane)
-            v_c_re, v_c_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
-            _listen(
-                x,
-                lane,
-                v0_re,
-                v0_im,
-                y[I_L_RE] - (v0_re - v_c_re) / p.r_f_ohm,
-                y[I_L_IM] - (v0_im - v_c_im) / p.r_f_ohm,
-            )
-            # Shunt: exact forced response plus the decaying rest of what went before.
-            rest_re, rest_im = v_c_re - x[(SOURCE + 6) * LANES + lane], v_c_im - x[(SOURCE + 7) * LANES + lane]
-            x[V_C_RE * LANES + lane] = x[(SOURCE + 8) * LANES + lane] + rest_re * decay_re - rest_im * decay_im
-            x[V_C_IM * LANES + lane] = x[(SOURCE + 9) * LANES + lane] + rest_im * decay_re + rest_re * decay_im
-            c, s = _cos_sin(y[DELTA])
-            k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, wind, p)
-            z = _moved_13(y, 0.5 * h, k1)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
-            z = _moved_13(y, 0.5 * h, k2)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
-            z = _moved_13(y, h, k3)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, wind, p)
-            y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
-            _store_13(x, lane, y)
+            kept[block, quantity, lane] = x[(slot + quantity) * LANES + lane]
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin(x, n_tones, p, h, n_steps):
-    """``n_steps`` steps behind the lane's Thevenin impedance."""
-    for _ in range(n_steps):
-        _source_of_step(x, n_tones, False)
-        for lane in range(LANES):
-            wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
-            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
-            y = _load_13(x, lane) + (
-                x[V_C_RE * LANES + lane],
-                x[V_C_IM * LANES + lane],
-                x[I_G_RE * LANES + lane],
-                x[I_G_IM * LANES + lane],
-            )
-            _listen(
-                x,
-                lane,
-                y[V_C_RE] + p.r_f_ohm * (y[I_L_RE] - y[I_G_RE]),
-                y[V_C_IM] + p.r_f_ohm * (y[I_L_IM] - y[I_G_IM]),
-                y[I_G_RE],
-                y[I_G_IM],
-            )
-            c, s = _cos_sin(y[DELTA])
-            k1 = _behind_grid(y, v0_re, v0_im, c, s, wind, r, l_1, p)
-            z = _moved_17(y, 0.5 * h, k1)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k2 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
-            z = _moved_17(y, 0.5 * h, k2)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k3 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
-            z = _moved_17(y, h, k3)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k4 = _behind_grid(z, v2_re, v2_im, cz, sz, wind, r, l_1, p)
-            y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
-            _store_13(x, lane, y)
-            x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = y[V_C_RE], y[V_C_IM]
-            x[I_G_RE * LANES + lane], x[I_G_IM * LANES + lane] = y[I_G_RE], y[I_G_IM]
+def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
+    """Advance all lanes by blocks, with the source at the PCC itself.
+
+    Parameters
+    ----------
+    x : flat array
+        Everything of the lanes; see the slots above.
+    n_tones : int
+        Tones of a lane.
+    p : TurbineParameters
+        The same for all lanes.
+    h : float
+        Step (s).
+    block_steps : int
+        Steps of a block.
+    slot : int
+        First slot that is kept of every block: `V_RE` for samples, `SUM_V` for sums.
+    kept : (n_blocks, n_slots, LANES) array
+        Receives, after each block, the slots from ``slot`` on: the sample at the start of the block's
+        last step, or the block's sums.
+    """
+    decay = _shunt_decay(p, h)
+    for block in range(kept.shape[0]):
+        _clear_sums(x)
+        for _ in range(block_steps):
+            _step_ideal(x, n_tones, p, h, decay)
+        _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal_compensated(x, n_tones, p, h, n_steps):
-    """`advance_ideal` with the lanes' compensation before the controller."""
-    half = math.exp(-0.5 * h / (p.r_f_ohm * p.c_f_f))
-    half_re, half_im = half * math.cos(0.5 * p.w1_rad_s * h), -half * math.sin(0.5 * p.w1_rad_s * h)
-    for _ in range(n_steps):
-        _source_of_step(x, n_tones, True)
-        for lane in range(LANES):
-            wind, block = x[WIND * LANES + lane], _load_4(x, COMP_R, lane)
-            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
-            y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
-            # Shunt: exact forced response plus the decaying rest of what went before.
-            c0_re, c0_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
-            rest_re, rest_im = c0_re - x[(SOURCE + 6) * LANES + lane], c0_im - x[(SOURCE + 7) * LANES + lane]
-            rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
-            c1_re, c1_im = x[(SOURCE + 10) * LANES + lane] + rest_re, x[(SOURCE + 11) * LANES + lane] + rest_im
-            rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
-            c2_re, c2_im = x[(SOURCE + 8) * LANES + lane] + rest_re, x[(SOURCE + 9) * LANES + lane] + rest_im
-            x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = c2_re, c2_im
-            _listen(
-                x,
-                lane,
-                v0_re,
-                v0_im,
-                y[I_L_RE] - (v0_re - c0_re) / p.r_f_ohm,
-                y[I_L_IM] - (v0_im - c0_im) / p.r_f_ohm,
-            )
-            c, s = _cos_sin(y[DELTA])
-            k1, m1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, wind, block, p)
-            z, o = _moved_13(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k2, m2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
-            z, o = _moved_13(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k3, m3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
-            z, o = _moved_13(y, h, k3), _moved_4(n, h, m3)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k4, m4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, wind, block, p)
-            y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
-            n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
-            _store_13(x, lane, y)
-            _store_4(x, NOTCH, lane, n)
+def advance_thevenin(x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_ideal` with the lanes' Thevenin impedances before the PCC."""
+    for block in range(kept.shape[0]):
+        _clear_sums(x)
+        for _ in range(block_steps):
+            _step_thevenin(x, n_tones, p, h)
+        _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin_compensated(x, n_tones, p, h, n_steps):
-    """`advance_thevenin` with the lanes' compensation before the controller, and their fault at the PCC."""
-    turn_re, turn_im = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
-    for _ in range(n_steps):
-        _source_of_step(x, n_tones, False)
-        for lane in range(LANES):
-            constants = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
-            block = _load_4(x, COMP_R, lane)
-            v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-            v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-            v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
-            share, re, im = (
-                x[FAULT_SHARE * LANES + lane],
-                x[FAULT_SKEW_RE * LANES + lane],
-                x[FAULT_SKEW_IM * LANES + lane],
-            )
-            fault_0 = share, re, im
-            re, im = re * turn_re - im * turn_im, im * turn_re + re * turn_im
-            fault_1 = share, re, im
-            re, im = re * turn_re - im * turn_im, im * turn_re + re * turn_im
-            fault_2 = share, re, im
-            x[FAULT_SKEW_RE * LANES + lane], x[FAULT_SKEW_IM * LANES + lane] = re, im
-            y, n = _load_13(x, lane) + _load_4(x, V_C_RE, lane), _load_4(x, NOTCH, lane)
-            v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(y, fault_0, p)
-            _listen(x, lane, v_pcc_re, v_pcc_im, y[I_L_RE] - i_f_re, y[I_L_IM] - i_f_im)
-            c, s = _cos_sin(y[DELTA])
-            k1, m1 = _grid_compensated(y, n, v0_re, v0_im, fault_0, c, s, constants, block, p)
-            z, o = _moved_17(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k2, m2 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
-            z, o = _moved_17(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k3, m3 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
-            z, o = _moved_17(y, h, k3), _moved_4(n, h, m3)
-            cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-            k4, m4 = _grid_compensated(z, o, v2_re, v2_im, fault_2, cz, sz, constants, block, p)
-            y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
-            n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
-            _store_13(x, lane, y)
-            _store_4(x, V_C_RE, lane, y[V_C_RE:])
-            _store_4(x, NOTCH, lane, n)
+def advance_ideal_compensated(x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_ideal` with the source at the PCC and the lanes' compensation before the controller."""
+    decay = _shunt_decay(p, 0.5 * h)
+    for block in range(kept.shape[0]):
+        _clear_sums(x)
+        for _ in range(block_steps):
+            _step_ideal_compensated(x, n_tones, p, h, decay)
+        _keep(x, slot, kept, block)
 
 
-@njit(nogil=True, cache=True)
-def advance(x, ideal, compensated, n_tones, p, h, n_steps):
-    """``n_steps`` steps of all lanes, with an ideal source or behind the lanes' impedances."""
-    if compensated:
-        if ideal:
-            advance_ideal_compensated(x, n_tones, p, h, n_steps)
-        else:
-            advance_thevenin_compensated(x, n_tones, p, h, n_steps)
-    elif ideal:
-        advance_ideal(x, n_tones, p, h, n_steps)
-    else:
-        advance_thevenin(x, n_tones, p, h, n_steps)
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_thevenin_compensated(x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_ideal` with the lanes' impedances, compensations and faults."""
+    turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
+    for block in range(kept.shape[0]):
+        _clear_sums(x)
+        for _ in range(block_steps):
+            _step_thevenin_compensated(x, n_tones, p, h, turn)
+        _keep(x, slot, kept, block)
 
 
-@njit(nogil=True, cache=True)
-def advance_blocks(x, ideal, compensated, n_tones, p, h, block_steps, sums):
-    """Advance by blocks; ``sums[block, quantity, lane]`` receives each block's eight sums."""
-    for block in range(sums.shape[0]):
-        for i in range(8 * LANES):
-            x[SUM_V * LANES + i] = 0.0
-        advance(x, ideal, compensated, n_tones, p, h, block_steps)
-        for quantity in range(8):
-            for lane in range(LANES):
-                sums[block, quantity, lane] = x[(SUM_V + quantity) * LANES + lane]
-
-
-@njit(nogil=True, cache=True)
-def advance_recording(x, ideal, compensated, n_tones, p, h, samples):
-    """Advance step by step; ``samples[step, quantity, lane]`` receives v and i before each step."""
-    for step in range(samples.shape[0]):
-        advance(x, ideal, compensated, n_tones, p, h, 1)
-        for quantity in range(4):
-            for lane in range(LANES):
-                samples[step, quantity, lane] = x[(V_RE + quantity) * LANES + lane]
-
-
-@njit(nogil=True, cache=True)
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
 def advance_tracing(x, p, h, sample_steps, samples):
     """Advance behind the grid, compensated; ``samples[k]`` is the first lane before each ``sample_steps`` steps.
 
     Columns: v_pcc (re, im), i_g (re, im), v_dc, w_m, delta.
     """
+    turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)
     for k in range(samples.shape[0]):
         samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
-        advance_thevenin_compensated(x, 0, p, h, 1)
-        for quantity in range(4):
-            samples[k, quantity] = x[(V_RE + quantity) * LANES]
-        advance_thevenin_compensated(x, 0, p, h, sample_steps - 1)
+        for step in range(sample_steps):
+            _step_thevenin_compensated(x, 0, p, h, turn)
+            if step == 0:
+                for quantity in range(4):
+                    samples[k, quantity] = x[(V_RE + quantity) * LANES]
