@@ -186,6 +186,40 @@ def tune(
         plot_result(result, plot, result.worst.op_id)
 
 
+@app.command()
+def verify(
+    tuning: Annotated[Path, typer.Argument(metavar="TUNING.json", help="What tune wrote.")],
+    table: Annotated[
+        Path | None, typer.Option(metavar="TABLE.parquet", help="Damping stops where this table says stable.")
+    ] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point; by default the worst.")] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="What happens; by default a step onto the tuned grid.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="VERIFY.json", help="Write JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Power, r(t), ...: .png, .svg or .pdf.")] = None,
+) -> None:
+    """The same device in time, with and without damping control."""
+    from ..identify.table import read_table
+    from .scenario import read_story
+    from .verify import cause_gone_of, format_report, read_tuning, tuned_of, write_json
+    from .verify import verify as run_both
+
+    for path in (output, plot):
+        if path is not None:
+            _check_folder(path)
+    tuned = tuned_of(read_tuning(tuning), op)
+    cause_gone = None if table is None else cause_gone_of(read_table(table).response(tuned.op_id))
+    result = run_both(tuned, None if scenario is None else read_story(scenario), cause_gone)
+    typer.echo(format_report(result, shutil.get_terminal_size((100, 24)).columns))
+    if output is not None:
+        write_json(result, output)
+    if plot is not None:
+        from .verify_plot import plot as draw
+
+        draw(result, plot)
+
+
 class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 

@@ -205,5 +205,5 @@ def _swept_grids(meta: Mapping[str, Any]) -> dict[Any, Mapping[str, Any]]:
 
 
 def _provenance(meta: Mapping[str, Any]) -> dict[str, Any]:
-    keys = ("format", "version", "sha256", "configuration_sha256", "plant", "power_meaning", "tool")
+    keys = ("format", "version", "sha256", "configuration", "configuration_sha256", "plant", "power_meaning", "tool")
     return {key: meta[key] for key in keys if key in meta}

@@ -1,0 +1,139 @@
+"""A scenario as the user writes it: TOML in, `plant.events.Scenario` out.
+
+Impedances count in multiples of the tuned grid, so that one file serves every tuning::
+
+    duration_s = 1.2
+    scale = 0.85                # at the beginning
+    active_power_mw = 0.6       # else the operating point's
+    source_voltage_pu = 1.0     # else what the operating point says
+
+    [[event]]
+    kind = "grid_step"          # or turbine_step, fault, wind_step, power_step
+    time_s = 0.1
+    scale = 1.0
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..plant.events import Event, Fault, GridStep, PowerStep, TurbineStep, WindStep
+
+DURATION_S = 1.2
+STEP_S = 0.1
+BEFORE_STEP = 1.2 / 1.4
+"""Impedance before the default grid step, in parts of the tuned one: the paper steps from 1.2 Z to 1.4 Z."""
+
+
+class ScenarioError(ValueError):
+    """A scenario file that cannot be followed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """What happens, wherever it happens; what is None the operating point decides.
+
+    Attributes
+    ----------
+    duration_s : float
+        Simulated time (s).
+    scale : float
+        Impedance at the beginning, in multiples of the tuned grid.
+    events : tuple of Event
+        Scales are multiples of the tuned grid.
+    turbines : float
+        Equal turbines on the grid at the beginning.
+    active_power_w, source_voltage_pu : float or None
+        Power (W), and voltage behind the grid (per unit of rated).
+    """
+
+    duration_s: float = DURATION_S
+    scale: float = BEFORE_STEP
+    events: tuple[Event, ...] = (GridStep(STEP_S, 1.0),)
+    turbines: float = 1.0
+    active_power_w: float | None = None
+    source_voltage_pu: float | None = None
+
+
+def read_story(path: str | Path) -> Story:
+    """Read a scenario file.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not TOML, or a key is unknown, missing or of the wrong kind.
+    OSError
+        If it cannot be read.
+    """
+    try:
+        data = tomllib.loads(Path(path).read_text("utf-8"))
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: not TOML: {error}") from None
+    try:
+        return _story(data)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+
+
+_NUMBERS = ("duration_s", "scale", "turbines", "active_power_mw", "source_voltage_pu")
+_KINDS: dict[str, tuple[str, ...]] = {
+    "grid_step": ("scale",),
+    "turbine_step": ("count",),
+    "fault": ("fault", "duration_s", "r_ohm"),
+    "wind_step": ("wind_m_s",),
+    "power_step": ("active_power_mw",),
+}
+
+
+def _story(data: Mapping[str, Any]) -> Story:
+    _refuse_unknown(data, (*_NUMBERS, "event"), "the scenario")
+    values = {key: _number(data, key, "the scenario") for key in _NUMBERS if key in data}
+    if "active_power_mw" in values:
+        values["active_power_w"] = values.pop("active_power_mw") * 1e6
+    entries = data.get("event", [])
+    if not (isinstance(entries, list) and all(isinstance(entry, Mapping) for entry in entries)):
+        raise ScenarioError("event must be tables in double brackets, [[event]]")
+    events = tuple(_event(entry, f"event {n}") for n, entry in enumerate(entries, start=1))
+    return Story(**{"scale": 1.0, **values}, events=events)
+
+
+def _event(entry: Mapping[str, Any], where: str) -> Event:
+    kind = entry.get("kind")
+    if kind not in _KINDS:
+        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(_KINDS)}")
+    _refuse_unknown(entry, ("kind", "time_s", *_KINDS[kind]), f"{where} ({kind})")
+    time_s = _number(entry, "time_s", where)
+    if kind == "grid_step":
+        return GridStep(time_s, _number(entry, "scale", where))
+    if kind == "turbine_step":
+        return TurbineStep(time_s, _number(entry, "count", where))
+    if kind == "wind_step":
+        return WindStep(time_s, _number(entry, "wind_m_s", where))
+    if kind == "power_step":
+        return PowerStep(time_s, 1e6 * _number(entry, "active_power_mw", where))
+    r_ohm = _number(entry, "r_ohm", where) if "r_ohm" in entry else 0.01
+    return Fault(time_s, _number(entry, "duration_s", where), entry.get("fault", "a-b-c"), r_ohm)
+
+
+def _number(data: Mapping[str, Any], key: str, where: str) -> float:
+    if key not in data:
+        raise ScenarioError(f"{where}: {key} is missing")
+    value = data[key]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ScenarioError(f"{where}: {key} is {value!r}; a number is needed")
+    return float(value)
+
+
+def _refuse_unknown(data: Iterable[str], known: tuple[str, ...], where: str) -> None:
+    for key in data:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
+            raise ScenarioError(f"{where} has no {key!r}{hint}")

@@ -1,0 +1,192 @@
+"""The picture of a verification: power, resonance current, r(t) and frequency, without and with damping control.
+
+matplotlib is imported when a figure is made.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..identify.table import atomic_file
+from ..plant.events import Event, Fault, Trajectory
+from .plot import _RC, _WITHOUT_TIME, SUFFIXES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from .verify import Verification
+
+_WITHOUT: dict[str, Any] = {"color": "#d9730d", "lw": 0.8, "zorder": 2}
+_WITH: dict[str, Any] = {"color": "#08306b", "lw": 1.1, "zorder": 3}
+
+
+class Curve(NamedTuple):
+    """A trajectory as it is drawn."""
+
+    label: str
+    trajectory: Trajectory
+    style: dict[str, Any]
+
+
+def plot(result: Verification, path: str | Path) -> None:
+    """Draw a verification to a PNG, SVG or PDF file, replaced atomically.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another one; nothing is written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(f"{path}: the suffix decides the format of the plot; needed: {', '.join(SUFFIXES)}")
+    import matplotlib
+
+    with matplotlib.rc_context(_RC), atomic_file(path) as file:
+        figure = verification_figure(result)
+        figure.savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+
+
+def verification_figure(result: Verification) -> Figure:
+    """The figure that `plot` writes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.16, 7.2), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [1.1, 1.1, 1, 1]})
+    curves = (
+        Curve("without damping control", result.without, _WITHOUT),
+        Curve(f"with damping control, k = {result.settings.k:.3g}", result.damped, _WITH),
+    )
+    draw_power(axes[0], curves)
+    draw_resonance_current(axes[1], curves)
+    draw_ratio(axes[2], curves, result.settings.threshold)
+    draw_frequency(axes[3], curves)
+    for each in axes:
+        mark_times(each, result.scenario.events, result.damped, named=each is axes[0])
+    for each in axes[2:]:
+        mark_unknown(each, result.damped)
+    axes[3].set_xlabel("t (s)")
+    axes[3].set_xlim(0.0, result.duration_s)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    grid = result.tuned.grid
+    figure.suptitle(
+        f"{result.tuned.plant.id} at {result.scenario.active_power_w / 1e6:.3g} MW, "
+        rf"tuned grid {grid.r_ohm:.3g} + j{grid.x_ohm:.3g} $\Omega$",
+        fontsize=10,
+    )
+    return figure
+
+
+def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:
+    """P at the PCC (MW) until synchronism is lost, with a cross there."""
+    for curve in curves:
+        t, p = _until_lost(curve.trajectory, curve.trajectory.p_w / 1e6)
+        axes.plot(t, p, label=curve.label, **curve.style)
+        if curve.trajectory.lost_s is not None:
+            axes.plot(t[-1:], p[-1:], "x", color="#a50f15", ms=7, mew=1.6, zorder=4, label="synchronism lost")
+    axes.set_ylabel("P (MW)")
+    quiet(axes)
+    without_spikes(axes)
+
+
+def draw_resonance_current(axes: Axes, curves: tuple[Curve, ...]) -> None:
+    """i_alpha less its fundamental (A)."""
+    for curve in curves:
+        t, i = _until_lost(curve.trajectory, resonance_current(curve.trajectory).real)
+        axes.plot(t, i, label=curve.label, **curve.style)
+    axes.set_ylabel(r"$i_{\alpha,r}$ (A)")
+    quiet(axes)
+    without_spikes(axes)
+
+
+def draw_ratio(axes: Axes, curves: tuple[Curve, ...], threshold: float) -> None:
+    """r(t) in percent on a logarithmic scale, with the threshold."""
+    for curve in curves:
+        t, r = _decided(curve.trajectory, curve.trajectory.ratio)
+        axes.semilogy(t, 100.0 * np.maximum(r, 1e-5), label=curve.label, **{**curve.style, "lw": 1.2})
+    axes.axhline(100.0 * threshold, color="0.3", lw=0.8, ls=(0, (4, 2)))
+    axes.annotate(
+        f"{threshold:.0%}", (1.0, 100.0 * threshold), xycoords=("axes fraction", "data"), xytext=(-2, 2),
+        textcoords="offset points", fontsize=8, ha="right", color="0.3",
+    )  # fmt: skip
+    axes.set_ylim(0.02, 200.0)
+    axes.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
+    axes.set_ylabel("r (%)")
+    quiet(axes)
+
+
+def draw_frequency(axes: Axes, curves: tuple[Curve, ...], least: float = 2e-3) -> None:
+    """Frequency of the stronger component (Hz) where r is more than ``least``."""
+    for curve in curves:
+        trajectory = curve.trajectory
+        t, f = _decided(trajectory, np.where(trajectory.ratio > least, trajectory.resonance_hz, np.nan))
+        axes.plot(t, f, ".", ms=2.5, color=curve.style["color"], label=curve.label)
+    axes.axhline(curves[0].trajectory.f1_hz, color="0.35", lw=0.7, ls=(0, (2, 2)))
+    axes.set_ylim(0.0, 2.0 * curves[0].trajectory.f1_hz)
+    axes.set_ylabel("stronger\ncomponent (Hz)")
+    quiet(axes)
+
+
+def resonance_current(trajectory: Trajectory) -> np.ndarray:
+    """i less its fundamental (A), both as space vectors: the mean over two periods around each moment is taken off."""
+    dt_s = float(trajectory.time_s[1] - trajectory.time_s[0])
+    turn = np.exp(-2j * np.pi * trajectory.f1_hz * trajectory.time_s)
+    n = round(2.0 / (trajectory.f1_hz * dt_s))
+    slow = np.where(np.isfinite(trajectory.i), trajectory.i, 0.0) * turn
+    padded = np.concatenate([np.full(n, slow[:n].mean()), slow, np.full(n, slow[-n:].mean())])
+    sums = np.concatenate([[0.0], np.cumsum(padded)])
+    first = np.arange(len(slow)) + n - n // 2
+    return trajectory.i - (sums[first + n] - sums[first]) / n / turn
+
+
+def mark_times(axes: Axes, events: tuple[Event, ...], damped: Trajectory, named: bool) -> None:
+    """Events as dotted lines or grey spans, start and stop of damping control as dashed lines."""
+    for event in events:
+        if isinstance(event, Fault):
+            axes.axvspan(event.time_s, event.time_s + event.duration_s, color="0.85", lw=0, zorder=0)
+        axes.axvline(event.time_s, color="0.3", lw=0.8, ls=":")
+    marks = [(time_s, "on") for time_s in damped.started_s] + [(time_s, "off") for time_s in damped.stopped_s]
+    for time_s, name in marks:
+        axes.axvline(time_s, color=_WITH["color"], lw=0.8, ls=(0, (4, 2)))
+        if named:
+            axes.annotate(
+                name, (time_s, 0.97), xycoords=("data", "axes fraction"), xytext=(2, 0),
+                textcoords="offset points", fontsize=8, va="top", color=_WITH["color"],
+            )  # fmt: skip
+
+
+def mark_unknown(axes: Axes, trajectory: Trajectory) -> None:
+    """A light span where nothing is known: blocked, or the analysis buffer not yet full again."""
+    unknown = np.isnan(trajectory.ratio).astype(int)
+    edges = np.flatnonzero(np.diff(unknown, prepend=0, append=0))
+    for first, last in zip(edges[0::2], edges[1::2], strict=True):
+        axes.axvspan(trajectory.decision_s[first], trajectory.decision_s[last - 1], color="0.93", lw=0, zorder=0)
+
+
+def without_spikes(axes: Axes) -> None:
+    """Limits that a capacitor's discharge of less than 0.2 % of the time does not decide."""
+    values = [np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()]
+    bounds = np.array([np.nanquantile(each, (0.001, 0.999)) for each in values if len(each) > 2])
+    low, high = float(bounds[:, 0].min()), float(bounds[:, 1].max())
+    room = 0.1 * max(high - low, 1e-3)
+    axes.set_ylim(low - room, high + room)
+
+
+def quiet(axes: Axes) -> None:
+    """Grid lines behind, ticks inside."""
+    axes.grid(True, lw=0.4, color="0.85")
+    axes.set_axisbelow(True)
+
+
+def _until_lost(trajectory: Trajectory, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    kept = trajectory.time_s <= (np.inf if trajectory.lost_s is None else trajectory.lost_s)
+    return trajectory.time_s[kept], values[kept]
+
+
+def _decided(trajectory: Trajectory, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    kept = trajectory.decision_s <= (np.inf if trajectory.lost_s is None else trajectory.lost_s)
+    return trajectory.decision_s[kept], values[kept]
