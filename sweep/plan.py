@@ -209,6 +209,8 @@ class Plan:
                 "kind": self.kind,
                 "tolerance": self.tolerance,
                 "max_simulated_s": self.max_simulated_s,
+                "isolate": self.isolate,
+                "timeout_s": self.timeout_s,
                 "condition": asdict(condition),
                 "points": [asdict(point) for point in points],
                 "shots": [asdict(shot) for point in points for shot in self.shots_of(condition, point)],

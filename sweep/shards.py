@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from math import isnan, nan
 from pathlib import Path
+from typing import IO
 
 from .measure import BatchResult, Row
 
@@ -39,15 +40,26 @@ def locked(folder: Path) -> Iterator[None]:
     """
     import fcntl
 
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / "lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise OutputInUse(
-                f"{folder}: another run is writing this output; wait for it, or choose another one"
-            ) from None
-        yield
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
+        with open(folder / "lock", "w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise OutputInUse(
+                    f"{folder}: another run is writing this output; wait for it, or choose another one"
+                ) from None
+            if _still_there(lock, folder / "lock"):
+                yield
+                return
+
+
+def _still_there(file: IO[str], path: Path) -> bool:
+    """Whether ``path`` is this file, not one made anew after a run that ended meanwhile removed its own."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def write(folder: Path, key: str, result: BatchResult) -> None:
