@@ -9,15 +9,15 @@ admittance is exactly `admittance`, not only up to the step, whatever source fee
 from __future__ import annotations
 
 import cmath
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import inf, isfinite, pi, sqrt, tan
 from typing import NamedTuple
 
 import numpy as np
 
 from .protocol import (
-    Injection,
     Job,
     OperatingPoint,
     OperatingRange,
@@ -27,6 +27,7 @@ from .protocol import (
     Source,
     Window,
 )
+from .sources import check_source, series_tones, turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +128,7 @@ class RLBranch:
         ValueError
             If |v_pcc| is outside `operating_range`, or is said twice or not at all.
         """
+        check_source(operating_point, source)
         z = self.impedance(self.f1_hz)
         z_loop = z + self._grid_impedance(source, self.f1_hz)
         v_source_rms = self._source_voltage(operating_point, source, abs(z_loop / z))
@@ -136,8 +138,6 @@ class RLBranch:
     def _source_voltage(self, operating_point: OperatingPoint, source: Source, ratio: float) -> float:
         """Source voltage (V, line-to-line RMS) where it is ``ratio`` times |v_pcc|; refuses wrong calls."""
         given = operating_point.terminal_voltage_v
-        if (given is None) == (source.voltage_v is None):
-            raise ValueError("give either the operating point's terminal_voltage_v or the source's voltage_v, not both")
         terminal_voltage_v = source.voltage_v / ratio if source.voltage_v is not None else given
         assert terminal_voltage_v is not None
         low, high = (limit / self.rating.voltage_v for limit in self.operating_range.terminal_voltage_v)
@@ -155,10 +155,6 @@ class RLBranch:
     def _grid_impedance(self, source: Source, f_hz: float) -> complex:
         if source.kind == "ideal":
             return 0j
-        if not (source.r_ohm >= 0.0 and source.l_h > 0.0):
-            raise ValueError(
-                f"a Thevenin source needs r_ohm >= 0 and l_h > 0; got {source.r_ohm:g} ohm, {source.l_h:g} H"
-            )
         return source.r_ohm + source.l_h * self._warped_jw(f_hz)
 
     def _warped_jw(self, f_hz: float) -> complex:
@@ -196,10 +192,10 @@ class RLBranch:
         i_end = kernel.advance_blocks(
             state.i,
             *drive,
-            np.array([_phasor(-f_hz * state.step * self.dt_s) for f_hz in lines_hz]),
-            np.array([_phasor(-f_hz * self.dt_s) for f_hz in lines_hz]),
-            _phasor((window.first_block % window.n_blocks) / window.n_blocks),
-            _phasor(1.0 / steps_per_window),
+            np.array([turns(-f_hz * state.step * self.dt_s) for f_hz in lines_hz]),
+            np.array([turns(-f_hz * self.dt_s) for f_hz in lines_hz]),
+            turns((window.first_block % window.n_blocks) / window.n_blocks),
+            turns(1.0 / steps_per_window),
             block_steps,
             sums,
         )
@@ -209,32 +205,21 @@ class RLBranch:
     def _drive(self, job: Job) -> _Drive:
         """The source as seen behind Z_grid: the fundamental, then every tone."""
         state, source = job.state, job.state.source
-        tones = [(self.f1_hz, state.v_source), *self._series_tones(job.injection, source)]
+        tones = [
+            (self.f1_hz, state.v_source),
+            *series_tones(job.injection, source, partial(self._grid_impedance, source)),
+        ]
         time_s = state.step * self.dt_s
         thevenin = source.kind == "thevenin"
         return _Drive(
-            np.array([amplitude * _phasor(f_hz * time_s) for f_hz, amplitude in tones]),
-            np.array([_phasor(f_hz * self.dt_s) for f_hz, _ in tones]),
+            np.array([amplitude * turns(f_hz * time_s) for f_hz, amplitude in tones]),
+            np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
             self.r_ohm,
             self.l_h,
             source.r_ohm if thevenin else 0.0,
             source.l_h if thevenin else 0.0,
             self.dt_s,
         )
-
-    def _series_tones(self, injection: Injection | None, source: Source) -> Iterator[tuple[float, complex]]:
-        """Tones as (f, series voltage at time zero); a shunt current acts as Z_grid times itself."""
-        if injection is None:
-            return
-        if injection.kind == "shunt_current" and source.kind == "ideal":
-            raise ValueError(
-                "shunt_current cannot perturb a PCC held by an ideal source: use series_voltage, or a thevenin source"
-            )
-        for tone in injection.tones:
-            amplitude = tone.amplitude * cmath.exp(1j * tone.phase_rad)
-            if injection.kind == "shunt_current":
-                amplitude *= self._grid_impedance(source, tone.f_hz)
-            yield tone.f_hz, amplitude
 
     def _end(self, state: BranchState, i: complex, n_steps: int) -> BranchState:
         step = state.step + n_steps
@@ -270,8 +255,3 @@ def _diagonal(branch: RLBranch, f_hz: float | np.ndarray, angular: Callable[[np.
     y[..., 0, 0] = 1.0 / (branch.r_ohm + 1j * branch.l_h * angular(f))
     y[..., 1, 1] = 1.0 / (branch.r_ohm - 1j * branch.l_h * angular(2.0 * branch.f1_hz - f))
     return y
-
-
-def _phasor(cycles: float) -> complex:
-    """exp(2j pi cycles), with whole turns taken off first."""
-    return cmath.exp(2j * pi * (cycles % 1.0))

@@ -32,6 +32,7 @@ from .protocol import (
     Trace,
     Window,
 )
+from .sources import check_source, series_tones, turns
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
@@ -207,15 +208,9 @@ class ReferenceTurbine:
             raise NotSettled(f"the state changes by {residual:.2g} over one period; {_RESIDUAL_LIMIT:g} is needed")
 
     def _terminal_voltage(self, operating_point: OperatingPoint, source: Source) -> float:
-        given = operating_point.terminal_voltage_v
-        if (given is None) == (source.voltage_v is None):
-            raise ValueError("give either the operating point's terminal_voltage_v or the source's voltage_v, not both")
-        if source.kind == "thevenin" and not (source.r_ohm >= 0.0 and source.l_h > 0.0):
-            raise ValueError(
-                f"a Thevenin source needs r_ohm >= 0 and l_h > 0; got {source.r_ohm:g} ohm, {source.l_h:g} H"
-            )
-        if given is not None:
-            return given
+        check_source(operating_point, source)
+        if operating_point.terminal_voltage_v is not None:
+            return operating_point.terminal_voltage_v
         assert source.voltage_v is not None
         if source.kind == "ideal":
             return source.voltage_v
@@ -340,7 +335,7 @@ class ReferenceTurbine:
         lane[kernel.COMP_R], lane[kernel.COMP_X] = compensation
         share, skew = _fault_division(self.parameters.r_f_ohm, conditions.fault_s)
         lane[kernel.FAULT_SHARE] = share
-        _set_complex(lane, kernel.FAULT_SKEW_RE, skew * _phasor(-2.0 * self.f1_hz * state.step * self.dt_s))
+        _set_complex(lane, kernel.FAULT_SKEW_RE, skew * turns(-2.0 * self.f1_hz * state.step * self.dt_s))
 
     def _batches(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
@@ -382,32 +377,18 @@ class ReferenceTurbine:
         x[kernel.FAULT_SHARE] = 1.0
         x[kernel.GRID_R] = source.r_ohm
         x[kernel.GRID_1_L] = 1.0 / source.l_h if source.kind == "thevenin" else 0.0
-        _set_complex(x, kernel.LINE_RE, _phasor((window.f_hz - self.f1_hz) * state.step * self.dt_s))
-        _set_complex(x, kernel.LINE_ROT_RE, _phasor((window.f_hz - self.f1_hz) * self.dt_s))
-        _set_complex(x, kernel.TAPER_RE, _phasor((window.first_block % window.n_blocks) / window.n_blocks))
-        _set_complex(x, kernel.TAPER_ROT_RE, _phasor(1.0 / (window.n_blocks * block_steps)))
+        _set_complex(x, kernel.LINE_RE, turns((window.f_hz - self.f1_hz) * state.step * self.dt_s))
+        _set_complex(x, kernel.LINE_ROT_RE, turns((window.f_hz - self.f1_hz) * self.dt_s))
+        _set_complex(x, kernel.TAPER_RE, turns((window.first_block % window.n_blocks) / window.n_blocks))
+        _set_complex(x, kernel.TAPER_ROT_RE, turns(1.0 / (window.n_blocks * block_steps)))
         mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
         x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
-        for tone, (f_hz, amplitude) in enumerate(self._series_tones(job.injection, source)):
+        for tone, (f_hz, amplitude) in enumerate(series_tones(job.injection, source, _grid_impedance(source))):
             slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
-            _set_complex(x, slot, amplitude * _phasor((f_hz - self.f1_hz) * state.step * self.dt_s))
-            _set_complex(x, slot + 2, _phasor((f_hz - self.f1_hz) * 0.5 * self.dt_s))
+            _set_complex(x, slot, amplitude / _PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
+            _set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))
             _set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
         return x
-
-    def _series_tones(self, injection: Injection | None, source: Source) -> Iterator[tuple[float, complex]]:
-        """Tones as (f, power-invariant series voltage); a shunt current acts as Z_grid times itself."""
-        if injection is None:
-            return
-        if injection.kind == "shunt_current" and source.kind == "ideal":
-            raise ValueError(
-                "shunt_current cannot perturb a PCC held by an ideal source: use series_voltage, or a thevenin source"
-            )
-        for tone in injection.tones:
-            amplitude = tone.amplitude * cmath.exp(1j * tone.phase_rad) / _PHASE_PEAK
-            if injection.kind == "shunt_current":
-                amplitude *= source.r_ohm + 2j * pi * tone.f_hz * source.l_h
-            yield tone.f_hz, amplitude
 
     def _shunt_voltage_ratio(self, f_hz: float) -> complex:
         """v_C / v_pcc of the shunt branch at a signed stationary frequency."""
@@ -438,13 +419,12 @@ def _fault_division(r_f_ohm: float, fault_s: tuple[float, float, float]) -> tupl
     return 0.5 * (inverse[0, 0] + inverse[1, 1]), complex(0.5 * (inverse[0, 0] - inverse[1, 1]), inverse[0, 1])
 
 
+def _grid_impedance(source: Source) -> Callable[[float], complex]:
+    return lambda f_hz: source.r_ohm + 2j * pi * f_hz * source.l_h
+
+
 def _n_tones(injection: Injection | None) -> int:
     return len(injection.tones) if injection else 0
-
-
-def _phasor(cycles: float) -> complex:
-    """exp(2j pi cycles), with whole turns taken off first."""
-    return cmath.exp(2j * pi * (cycles % 1.0))
 
 
 def _set_complex(x: np.ndarray, slot: int, value: complex) -> None:
