@@ -68,6 +68,7 @@ def _scipy(repetitions: int, simulated_s: float) -> dict[str, float]:
 
     sys.path.insert(0, str(ROOT / "tests"))
     import oracle
+
     from seqsweep.plant.dpmsg_parameters import TABLE_I
     from seqsweep.plant.kernels import turbine as kernel
 

@@ -115,7 +115,7 @@ def peak_memory_mb() -> float:
 
 def command(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[float, float]:
     """Wall time (s) and peak memory (MB) of ``seqsweep ARGUMENTS``, a whole process."""
-    program = [str(_entry_point()), *arguments]
+    program = [str(entry_point()), *arguments]
     begin = time.perf_counter()
     process = subprocess.Popen(
         program,
@@ -133,7 +133,8 @@ def command(arguments: Sequence[str], environment: Mapping[str, str] | None = No
     return wall_s, usage.ru_maxrss / 1024.0
 
 
-def _entry_point() -> Path:
+def entry_point() -> Path:
+    """The installed command of this interpreter's environment."""
     found = Path(sys.executable).with_name("seqsweep")
     if not found.exists():
         raise SystemExit(f"{found} is missing: install the project into this environment (make env)")

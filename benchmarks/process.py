@@ -1,0 +1,40 @@
+"""The whole command: `seqsweep run examples/table1.toml` warm and for the first time ever, `--help`, memory.
+
+"First ever" has an empty NUMBA_CACHE_DIR: every kernel is compiled.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from statistics import median
+
+from harness import TABLE_I, Report, command, run_script
+
+
+def measure(quick: bool) -> Report:
+    """Wall times and memory of whole processes."""
+    warm_times, cold_times = (3, 1) if quick else (11, 3)
+    report = Report("Whole processes")
+    with tempfile.TemporaryDirectory() as folder:
+        output = str(Path(folder) / "y.parquet")
+        arguments = ["run", str(TABLE_I), "-o", output, "--force", "--jobs", "2"]
+        cold = []
+        for k in range(cold_times):
+            cache = {"NUMBA_CACHE_DIR": str(Path(folder) / f"cache{k}")}
+            cold.append(command(arguments, cache))
+        warm = [command(arguments, cache) for _ in range(warm_times)]
+        shown = [command(["show", output]) for _ in range(warm_times)]
+        helped = [command(["--help"]) for _ in range(warm_times)]
+    report.add(f"run, warm, median of {warm_times}", median(t for t, _ in warm), "s", 0.7)
+    report.add("run, warm, best", min(t for t, _ in warm), "s")
+    report.add(f"run, first ever, median of {cold_times}", median(t for t, _ in cold), "s", 6.0)
+    report.add("--help, median", median(t for t, _ in helped), "s", 0.35)
+    report.add("show, median", median(t for t, _ in shown), "s")
+    report.add("peak memory of run, warm", max(m for _, m in warm), "MB", 300.0)
+    report.add("peak memory of run, first ever", max(m for _, m in cold), "MB", 300.0)
+    return report
+
+
+if __name__ == "__main__":
+    run_script("process", measure)
