@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
+
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
+"""`ClickException`: newer versions of typer bring a click of their own, older ones import it."""
 
 app = typer.Typer(
     name="seqsweep",
@@ -87,6 +91,8 @@ def run(
         raise _WrongInput("--scheduler goes with --backend dask")
     if output.is_dir():
         raise _WrongInput(f"{output} is a folder; name a file")
+    if output.exists() and not output.is_file():
+        raise _WrongInput(f"{output} is no ordinary file; a table cannot take its place")
     if output.exists() and not force:
         raise _WrongInput(f"{output} exists; --force replaces it")
     planned, plant = _planned(campaign, settings)
@@ -256,30 +262,25 @@ def main() -> None:
 
 
 def _status() -> int:
-    import click
-
     try:
         result = app(standalone_mode=False)
-        return result if isinstance(result, int) else OK
-    except click.exceptions.Abort:
-        return _interrupted()
-    except KeyboardInterrupt:
-        return _interrupted()
-    except click.exceptions.NoArgsIsHelpError as error:
-        typer.echo(error.format_message())
-        return WRONG_INPUT
-    except click.ClickException as error:
+    except _USAGE_ERROR as error:
         error.show(file=sys.stderr)
         return WRONG_INPUT
+    except (KeyboardInterrupt, typer.Abort):
+        return _interrupted()
     except ValueError as error:
         typer.echo(str(error), err=True)
         return WRONG_INPUT
-    except BrokenPipeError:
+    except (BrokenPipeError, SystemExit):  # nobody reads on; typer makes the latter of the former
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
         typer.echo(f"{error}; what was measured is kept: run the same command again to go on", err=True)
         return MACHINE
+    if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
+        return _interrupted()
+    return result if isinstance(result, int) else OK
 
 
 def _interrupted() -> int:

@@ -1,0 +1,110 @@
+"""The console script as tests call it, and campaigns for it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
+HERE = Path(__file__).parent
+"""Commands run here: `python:plants:...` is found in the current folder."""
+
+CAMPAIGN = """\
+[campaign]
+name = "command"
+
+[plant]
+id = "{plant}"
+{plant_lines}
+
+{points}
+[sweep]
+f_min_hz = 20.0
+f_max_hz = 900.0
+points = {n}
+
+[injection]
+amplitude_pu = 0.001
+"""
+
+POINT = """\
+[[operating_point]]
+id = "{name}"
+active_power_mw = {power:g}
+terminal_voltage_pu = 1.0
+
+"""
+
+
+def campaign(folder, *, plant="branch-v1", plant_lines="", powers=(0.65,), n=8):
+    """Write a campaign into ``folder``; its path."""
+    points = "".join(POINT.format(name=f"p{k}", power=power) for k, power in enumerate(powers))
+    path = Path(folder) / "campaign.toml"
+    path.write_text(CAMPAIGN.format(plant=plant, plant_lines=plant_lines, points=points, n=n), "utf-8")
+    return path
+
+
+def slow_campaign(folder, *, plant="python:plants:SlowBranch", rest_s=0.02, extra="", n_points=4):
+    """About a hundred calls of ``rest_s`` in some twelve batches."""
+    lines = f"[plant.parameters]\nrest_s = {rest_s}\n{extra}"
+    return campaign(folder, plant=plant, plant_lines=lines, powers=[0.1 + 0.1 * k for k in range(n_points)], n=24)
+
+
+def call(*arguments, timeout=60, wrapper=(), **options):
+    """Run the command to its end."""
+    command = [*wrapper, SEQSWEEP, *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=HERE, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL, **options
+    )
+
+
+def start(*arguments, **options):
+    """Begin the command, in a session of its own so that its whole group can be signalled."""
+    return subprocess.Popen(
+        [SEQSWEEP, *map(str, arguments)],
+        cwd=HERE,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **options,
+    )
+
+
+def shards_of(output):
+    """The shards that are kept beside ``output``."""
+    return list(output.with_name(output.name + ".parts").glob("?" * 64))
+
+
+def wait_for(condition, timeout_s=30.0):
+    """Poll until ``condition()``; fails after ``timeout_s``."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+def group_members(group):
+    """Processes alive in a process group (Linux)."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[2]) == group and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def end_group(process):
+    """Leave nothing of a test's own process group behind."""
+    for pid in group_members(process.pid):
+        with suppress(ProcessLookupError):
+            os.kill(pid, 9)
+    process.communicate()

@@ -1,0 +1,343 @@
+"""The console script: every exit status, every refusal in one message, nothing half-written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from .commands import SEQSWEEP, call, campaign, end_group, group_members, shards_of, slow_campaign, start, wait_for
+
+OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
+
+
+def listing(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+
+def assert_refused(done, words, status=WRONG_INPUT):
+    """One message, on stderr, that says ``words``; no traceback, and nothing on stdout."""
+    assert done.returncode == status, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Error:" not in done.stderr.replace("Error: ", "", 1)
+    assert done.stdout == ""
+    assert words in done.stderr
+    assert len(done.stderr.strip().splitlines()) <= 4  # a usage error has the usage above it
+
+
+# Input that is wrong
+
+BY_SETTING = {
+    "unknown key": ("sweep.color=1", "sweep.color: unknown key"),
+    "misspelt key": ("sweep.poins=10", "did you mean points?"),
+    "wrong type": ('sweep.points="many"', 'given "many"; needed: a whole number'),
+    "negative amplitude": ("injection.amplitude_pu=-0.001", "given -0.001; needed: a number above 0"),
+    "huge amplitude": ("injection.amplitude_pu=5", "given 5; needed: a number above 0 and at most 0.2"),
+    "not TOML": ("campaign.name=table one", "text needs quotes"),
+    "no such entry": ("operating_point.7.active_power_mw=1.0", "name its entry by number, it has 0 to 0"),
+    "unknown plant": ('plant.id="brunch-v1"', "did you mean 'branch-v1'?"),
+    "unknown parameter": ("plant.parameters.r_omh=1.0", "did you mean 'r_ohm'?"),
+    "refused parameter": ("plant.parameters.r_ohm=-1.0", "r_ohm is -1; branch-v1 needs"),
+    "awkward step": ("plant.parameters.dt_s=51.23456789e-6", "use a step such as"),
+    "outside the range": ("operating_point.0.terminal_voltage_pu=3.0", "outside the operating range of branch-v1"),
+    "shunt on ideal": ('injection.kind="shunt_current"', "cannot perturb a PCC that an ideal source holds"),
+}
+
+
+@pytest.mark.parametrize("case", BY_SETTING)
+def test_a_wrong_value_is_refused_by_name(tmp_path, case):
+    setting, words = BY_SETTING[case]
+    path, before = campaign(tmp_path), ["campaign.toml"]
+    assert_refused(call("run", path, "-o", tmp_path / "y.parquet", "--set", setting), words)
+    assert listing(tmp_path) == before
+
+
+LISTED = {
+    "f1": ("[10.0, 50.0]", "50 Hz is the fundamental itself"),
+    "Nyquist": ("[10.0, 12000.0]", "Nyquist frequency of 10000 Hz"),
+    "twice": ("[10.0, 10.0]", "10 Hz is there twice"),
+    "unsorted": ("[20.0, 10.0]", "10 Hz follows 20 Hz"),
+    "zero": ("[0.0, 10.0]", "above 0"),
+}
+
+
+@pytest.mark.parametrize("case", LISTED)
+def test_an_impossible_frequency_is_refused_with_the_reason(tmp_path, case):
+    f_hz, words = LISTED[case]
+    path = campaign(tmp_path)
+    text = path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", f"f_hz = {f_hz}")
+    path.write_text(text)
+    assert_refused(call("run", path, "-o", tmp_path / "y.parquet"), words)
+    assert listing(tmp_path) == ["campaign.toml"]
+
+
+def test_all_problems_of_a_file_are_told_at_once_each_at_its_line(tmp_path):
+    path = campaign(tmp_path, powers=(0.1, 0.2))
+    text = path.read_text().replace('id = "p1"', 'id = "p0"').replace("points = 8", "pionts = 8")
+    path.write_text(text.replace("amplitude_pu = 0.001", "amplitude_pu = 7"))
+    done = call("run", path, "-o", tmp_path / "y.parquet")
+    lines = done.stderr.strip().splitlines()
+    assert done.returncode == WRONG_INPUT
+    assert len(lines) == 3
+    assert all(line.startswith(f"{path}:") for line in lines)
+    assert '"p0" is also operating_point.0' in lines[0]
+    assert "did you mean points?" in lines[1]
+    assert "at most 0.2" in lines[2]
+
+
+def test_a_missing_file_is_refused_with_the_way_out(tmp_path):
+    done = call("run", tmp_path / "none.toml", "-o", tmp_path / "y.parquet")
+    assert_refused(done, "no such file; `seqsweep init -o")
+    assert listing(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--backend", "mpi"], "known are threading, loky and dask"),
+        (["--scheduler", "tcp://nowhere:1"], "--scheduler goes with --backend dask"),
+        (["--jobs", "0"], "--jobs"),
+        (["--job", "2"], "--jobs"),
+    ],
+)
+def test_a_wrong_option_is_refused(tmp_path, arguments, words):
+    assert_refused(call("run", campaign(tmp_path), "-o", tmp_path / "y.parquet", *arguments), words)
+    assert listing(tmp_path) == ["campaign.toml"]
+
+
+def test_an_output_that_cannot_be_is_refused_before_anything_runs(tmp_path):
+    path = campaign(tmp_path)
+    (tmp_path / "taken.parquet").write_text("mine")
+    assert_refused(call("run", path, "-o", tmp_path), "is a folder; name a file")
+    assert_refused(call("run", path, "-o", tmp_path / "none" / "y.parquet"), "no such folder")
+    assert_refused(call("run", path, "-o", path / "y.parquet"), "no such folder")
+    assert_refused(call("run", path, "-o", tmp_path / "taken.parquet"), "exists; --force replaces it")
+    assert_refused(call("run", path, "-o", "/dev/null", "--force"), "is no ordinary file")
+    assert (tmp_path / "taken.parquet").read_text() == "mine"
+    assert listing(tmp_path) == ["campaign.toml", "taken.parquet"]
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    whole, foreign, cut = tmp_path / "y.parquet", tmp_path / "foreign.parquet", tmp_path / "cut.parquet"
+    assert call("run", campaign(tmp_path), "-o", whole).returncode == OK
+    pq.write_table(pa.table({"a": [1, 2]}), foreign)
+    cut.write_bytes(whole.read_bytes()[:-100])
+    (tmp_path / "text.parquet").write_text("f,y\n1,2\n")
+    (tmp_path / "empty.parquet").touch()
+    for command, names in {
+        "show": ["foreign", "cut", "missing"],
+        "validate": ["foreign", "cut", "text", "empty"],
+    }.items():
+        for name in names:
+            assert_refused(call(command, tmp_path / f"{name}.parquet"), f"{name}.parquet")
+
+
+# The tour
+
+
+def test_from_init_to_show_as_the_help_says(tmp_path):
+    path, table, picture = tmp_path / "campaign.toml", tmp_path / "y.parquet", tmp_path / "bode.svg"
+    assert call("init", "-o", path).returncode == OK
+    assert_refused(call("init", "-o", path), "exists")
+    fewer = ["--set", "sweep.points=12"]
+    planned = call("plan", path, *fewer)
+    assert planned.returncode == OK
+    assert "24 shots of 0.5634 V peak (0.001 pu), series_voltage" in planned.stdout
+    assert listing(tmp_path) == ["campaign.toml"]
+    ran = call("run", path, "-o", table, *fewer)
+    assert (ran.returncode, ran.stdout) == (OK, "")
+    assert "12 ok" in ran.stderr
+    shown = call("show", table, "--plot", picture)
+    assert shown.returncode == OK
+    assert "p065" in shown.stdout
+    assert picture.stat().st_size > 10_000
+    valid = call("validate", table)
+    assert (valid.returncode, valid.stdout.strip()) == (OK, f"{table}: conforms")
+    assert listing(tmp_path) == ["bode.svg", "campaign.toml", "y.parquet"]
+    first = table.read_bytes()
+    assert call("run", path, "-o", table, "--force", "--jobs", 1, *fewer).returncode == OK
+    assert table.read_bytes() == first
+
+
+def test_check_says_pass_or_fail_in_words_and_status():
+    sound, broken = call("check", "branch-v1"), call("check", "python:plants:DriftingBranch")
+    assert sound.returncode == OK
+    assert "FAIL" not in sound.stdout
+    assert broken.returncode == NOT_ALL_OK
+    assert "FAIL" in broken.stdout
+    assert "Traceback" not in broken.stderr
+    assert_refused(call("check", "python:plants:Nothing"), "has no 'Nothing'")
+
+
+def test_rows_that_are_not_ok_end_in_status_one_with_a_whole_table(tmp_path):
+    path, table = campaign(tmp_path, plant="dpmsg-v1", n=4), tmp_path / "y.parquet"
+    weak = "grid = { r_ohm = 0.012, x_ohm = 0.25, scale = 1.4 }"
+    path.write_text(path.read_text().replace("terminal_voltage_pu = 1.0", weak) + '\n[source]\nkind = "thevenin"\n')
+    done = call("run", path, "-o", table)
+    assert done.returncode == NOT_ALL_OK
+    assert done.stderr.strip().splitlines()[-1] == f"{table}: 4 diverged"
+    assert call("validate", table).returncode == OK
+    shown = call("show", table)
+    assert shown.returncode == OK
+    assert "diverged" in shown.stdout
+    assert "unstable" in shown.stdout
+
+
+def test_a_plant_that_fails_in_every_way_ends_in_status_one(tmp_path):
+    lines = '[plant.parameters]\nhow = "raises"\nlow_hz = 100.0\nhigh_hz = 300.0'
+    path = campaign(tmp_path, plant="python:plants:FailingBranch", plant_lines=lines)
+    done = call("run", path, "-o", tmp_path / "y.parquet")
+    assert done.returncode == NOT_ALL_OK
+    assert "failed" in done.stderr
+    assert "Traceback" not in done.stderr
+    shown = call("show", tmp_path / "y.parquet")
+    assert "the converter tripped" in shown.stdout
+
+
+def test_help_imports_nothing_heavy_and_is_quick():
+    heavy = "{'numba', 'matplotlib', 'pyarrow', 'joblib', 'pandas', 'numpy', 'scipy', 'pydantic', 'llvmlite'}"
+    code = (
+        "import sys; sys.argv = ['seqsweep', '--help']\n"
+        "from seqsweep.sweep.cli import main\n"
+        f"try:\n    main()\nfinally:\n    print(sorted({heavy} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr.strip()) == (OK, "[]")
+    assert "validate" in done.stdout
+    times = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        assert call("--help").returncode == OK
+        times.append(time.perf_counter() - begin)
+    print(f"\n  seqsweep --help: {min(times):.2f} s (bar 0.35 s on a quiet machine)", end="")
+    assert min(times) < 1.0  # this machine may be busy; twice the imports of today would still be seen
+    nothing = call()  # no command: the help, and a status that scripts notice
+    assert (nothing.returncode, nothing.stdout) == (WRONG_INPUT, "")
+    assert "validate" in nothing.stderr
+
+
+# Ctrl-C
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_ctrl_c_ends_within_two_seconds_and_the_same_command_goes_on(tmp_path, backend):
+    plant = "python:plants:SlowBranch" if backend == "threading" else "python:plants:SlowPythonBranch"
+    path, table, fresh = slow_campaign(tmp_path, plant=plant), tmp_path / "y.parquet", tmp_path / "fresh.parquet"
+    process = start("run", path, "-o", table, "--jobs", 2)
+    try:
+        wait_for(lambda: len(shards_of(table)) >= 2)
+        begin = time.perf_counter()
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers get it too
+        _, said = process.communicate(timeout=20)
+        seconds = time.perf_counter() - begin
+        print(f"\n  Ctrl-C, {backend}: ended after {seconds:.2f} s (bar 2 s)", end="")
+        assert process.returncode == INTERRUPTED, said
+        assert seconds < 2.0
+        assert "run the same command again to go on" in said
+        assert "Traceback" not in said
+        assert not table.exists()
+        assert shards_of(table)
+        wait_for(lambda: not group_members(process.pid), 10.0)  # no worker is left behind
+    finally:
+        end_group(process)
+    assert call("run", path, "-o", table, "--jobs", 2).returncode == OK
+    assert call("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading").returncode == OK
+    assert table.read_bytes() == fresh.read_bytes()
+
+
+def test_ctrl_c_does_not_wait_for_a_plant_that_is_deep_in_itself(tmp_path):
+    path, table = slow_campaign(tmp_path, rest_s=60.0), tmp_path / "y.parquet"
+    process = start("run", path, "-o", table)
+    try:
+        wait_for((table.with_name(table.name + ".parts") / "lock").exists)
+        time.sleep(1.0)
+        begin = time.perf_counter()
+        os.killpg(process.pid, signal.SIGINT)
+        process.communicate(timeout=20)
+        assert process.returncode == INTERRUPTED
+        assert time.perf_counter() - begin < 2.0
+    finally:
+        end_group(process)
+
+
+# The machine
+
+
+def test_a_second_run_on_one_output_says_so_and_stops(tmp_path):
+    path, table = slow_campaign(tmp_path), tmp_path / "y.parquet"
+    process = start("run", path, "-o", table)
+    try:
+        wait_for(lambda: len(shards_of(table)) >= 1)
+        assert_refused(call("run", path, "-o", table), "another run is writing this output", MACHINE)
+        _, said = process.communicate(timeout=30)
+        assert process.returncode == OK, said
+    finally:
+        end_group(process)
+    assert listing(tmp_path) == ["campaign.toml", "y.parquet"]
+
+
+def test_a_disk_that_takes_no_more_is_the_machines_fault_and_costs_nothing_kept(tmp_path):
+    """`ulimit -f` stands in for the full disk: a file may hold 1 KiB, a shard of eight points needs more."""
+    path, table, fresh = campaign(tmp_path), tmp_path / "y.parquet", tmp_path / "fresh.parquet"
+    assert call("run", path, "-o", fresh).returncode == OK
+    full = call("run", path, "-o", table, wrapper=["bash", "-c", 'ulimit -f 1 && exec "$@"', "bash"])
+    assert_refused(full, "run the same command again to go on", MACHINE)
+    assert not table.exists()
+    assert not list(tmp_path.glob("**/*.tmp"))
+    assert call("run", path, "-o", table).returncode == OK
+    assert table.read_bytes() == fresh.read_bytes()
+    assert listing(tmp_path) == ["campaign.toml", "fresh.parquet", "y.parquet"]
+
+
+@pytest.fixture
+def mounted(tmp_path):
+    """A function that mounts a tmpfs with options on a new folder; skips where that is not allowed."""
+    folders = []
+
+    def mount(options):
+        folder = tmp_path / f"mount{len(folders)}"
+        folder.mkdir()
+        if shutil.which("mount") is None or os.geteuid() != 0:
+            pytest.skip("mounting needs root")
+        done = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "none", str(folder)], capture_output=True)
+        if done.returncode:
+            pytest.skip("mounting is not allowed here")
+        folders.append(folder)
+        return folder
+
+    yield mount
+    for folder in folders:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_file_system_is_the_machines_fault_and_nothing_false_is_left(tmp_path, mounted):
+    path, small = campaign(tmp_path, n=40), mounted("size=16k")
+    done = call("run", path, "-o", small / "y.parquet")
+    assert_refused(done, "No space left on device", MACHINE)
+    assert not (small / "y.parquet").exists()
+    assert not list(small.glob("**/*.tmp"))
+    assert not list(small.glob(".*"))
+
+
+def test_a_read_only_folder_is_the_machines_fault(tmp_path, mounted):
+    path, locked = campaign(tmp_path), mounted("ro")
+    assert_refused(call("run", path, "-o", locked / "y.parquet"), "no permission to write", MACHINE)
+    assert_refused(call("init", "-o", locked / "c.toml"), "no permission to write", MACHINE)
+
+
+def test_a_closed_pipe_is_no_error(tmp_path):
+    """`seqsweep show y.parquet | head -1`, in the worst case: the reader is gone before the first line."""
+    table = tmp_path / "y.parquet"
+    assert call("run", campaign(tmp_path), "-o", table).returncode == OK
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([SEQSWEEP, "show", table], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (OK, "")
