@@ -19,7 +19,7 @@ from ..identify.table import QUALITY, write_table
 from ..plant.protocol import Plant
 from ..plant.registry import releases_gil
 from . import shards
-from .isolate import children
+from .isolate import children, die_with_parent
 from .measure import BatchResult, Row, measure
 from .plan import Batch, Condition, Plan
 
@@ -169,13 +169,21 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[None]:
 @contextmanager
 def _worker(plan: Plan, plant: Plant, jobs: int, backend: str) -> Iterator[Callable[[Batch], tuple[str, BatchResult]]]:
     """The task of a batch: threads share the plant, or children that hold it; processes make their own."""
-    if backend != "threading":
+    if backend == "loky":
+        yield partial(_in_child, plan)
+    elif backend == "dask":
         yield partial(_in_process, plan)
     elif plan.isolate:
         with children(plan, jobs) as isolated:
             yield lambda batch: (batch.key, isolated.measure(batch))
     else:
         yield lambda batch: (batch.key, measure(plant, plan, batch))
+
+
+def _in_child(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
+    """A process of our own would wait minutes for a runner that was killed: it goes with it."""
+    die_with_parent()
+    return _in_process(plan, batch)
 
 
 def _in_process(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:

@@ -144,7 +144,7 @@ class _Child:
 
 def _serve(pipe: Connection) -> None:
     """The child: build the plant, then answer batch after batch until the pipe closes."""
-    _die_with_parent()
+    die_with_parent()
     plan: Plan = pipe.recv()
     try:
         plant = plan.spec.make()
@@ -160,7 +160,7 @@ def _serve(pipe: Connection) -> None:
         pipe.send(measure(plant, plan, batch))
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Ask Linux to end this process with the runner, even while it is deep in a plant."""
     if sys.platform == "linux":
         import ctypes

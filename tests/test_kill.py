@@ -1,0 +1,109 @@
+"""kill -9 at any moment, then the same command again: the bytes of an undisturbed run.
+
+``python -m pytest -m evidence -s tests/test_kill.py`` kills at sixty random moments.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+
+import pytest
+
+from .commands import call, campaign, end_group, group_members, shards_of, slow_campaign, start, wait_for
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory):
+    """A campaign of a few seconds: (its file, the undisturbed bytes)."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    path, table = slow_campaign(folder), folder / "y.parquet"
+    done = call("run", path, "-o", table, "--jobs", 2)
+    assert done.returncode == 0, done.stderr
+    return path, table.read_bytes()
+
+
+def killed(path, table, moment, *options):
+    """Start the command, and kill -9 its runner alone when ``moment()`` has come; True if it was still at work."""
+    process = start("run", path, "-o", table, *options)
+    try:
+        wait_for(lambda: moment() or process.poll() is not None)
+        caught = process.poll() is None
+        if caught:
+            os.kill(process.pid, signal.SIGKILL)
+        process.wait(timeout=10)
+        wait_for(lambda: not group_members(process.pid), 15.0)  # workers notice, and go by themselves
+        return caught
+    finally:
+        end_group(process)
+
+
+def finished(path, table, *options):
+    """The same command again, to its end; the bytes of the table, beside which nothing may be left."""
+    done = call("run", path, "-o", table, *options)
+    assert done.returncode == 0, done.stderr
+    assert [other.name for other in table.parent.iterdir() if other.name.startswith(table.name)] == [table.name]
+    return table.read_bytes()
+
+
+@pytest.mark.parametrize("n_shards", [0, 3, 9])
+def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, n_shards):
+    """Before the first shard, in the midst of them, near the last one."""
+    path, undisturbed = slow
+    table = tmp_path / "y.parquet"
+    lock = table.with_name(table.name + ".parts") / "lock"
+    assert killed(path, table, lambda: lock.exists() and len(shards_of(table)) >= n_shards, "--jobs", 2)
+    assert not table.exists()
+    kept = {shard: shard.stat().st_mtime_ns for shard in shards_of(table)}
+    assert len(kept) >= n_shards
+    assert finished(path, table, "--jobs", 2) == undisturbed
+
+
+def test_a_killed_worker_costs_nothing_but_time(tmp_path):
+    """The plant kills its own process once, in mid-shot, as the kernel does when memory runs out."""
+    scar, table, fresh = tmp_path / "scar", tmp_path / "y.parquet", tmp_path / "fresh.parquet"
+    path = slow_campaign(
+        tmp_path, plant="python:plants:SuicidalBranch", rest_s=0.005, extra=f'scar = "{scar}"', n_points=2
+    )
+    setting = ["--set", "plant.isolate=false", "--backend", "loky", "--jobs", 2]
+    done = call("run", path, "-o", table, *setting)
+    assert done.returncode == 0, done.stderr
+    assert scar.exists()  # it did die
+    assert "48 ok" in done.stderr
+    assert finished(path, fresh, *setting) == table.read_bytes()  # now nobody dies
+
+
+def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
+    """Workers whose runner is gone end by themselves, and the next run is not told that the output is in use."""
+    path = slow_campaign(tmp_path, plant="python:plants:SlowPythonBranch", rest_s=0.01, n_points=2)
+    table, fresh = tmp_path / "y.parquet", tmp_path / "fresh.parquet"
+    setting = ["--set", "plant.isolate=false", "--jobs", 2]
+    assert killed(path, table, lambda: len(shards_of(table)) >= 1, *setting)
+    assert finished(path, table, *setting) == finished(path, fresh, *setting)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_kills_at_random_moments_leave_the_bytes_alone(tmp_path, backend):
+    """Thirty kills of each backend, at moments drawn over the whole run, start and end included."""
+    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 9)], n=60)
+    fresh = tmp_path / "fresh.parquet"
+    setting = ["--jobs", 2, "--backend", backend]
+    begin = time.monotonic()
+    undisturbed = finished(path, fresh, *setting)
+    whole_s = time.monotonic() - begin
+    dice, kills, runs = random.Random(11), 0, 0
+    while kills < 30:
+        table = tmp_path / f"{runs}.parquet"
+        runs += 1
+        for _ in range(3):  # the same output, killed up to three times
+            end = time.monotonic() + dice.uniform(0.0, whole_s)
+            kills += killed(path, table, lambda end=end: time.monotonic() >= end, *setting)
+            if table.exists():
+                break
+        if not table.exists():
+            finished(path, table, *setting)
+        assert table.read_bytes() == undisturbed
+    print(f"\n  {backend}: {kills} kills in {runs} campaigns of {whole_s:.1f} s, every table as undisturbed", end="")
