@@ -113,8 +113,8 @@ def peak_memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-def command(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[float, float]:
-    """Wall time (s) and peak memory (MB) of ``seqsweep ARGUMENTS``, a whole process."""
+def command(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[float, float, float]:
+    """Wall time (s), peak memory (MB) and CPU time (s) of ``seqsweep ARGUMENTS``, a whole process."""
     program = [str(entry_point()), *arguments]
     begin = time.perf_counter()
     process = subprocess.Popen(
@@ -130,7 +130,7 @@ def command(arguments: Sequence[str], environment: Mapping[str, str] | None = No
     wall_s = time.perf_counter() - begin
     if process.returncode:
         raise SystemExit(f"{' '.join(program)} ended with {process.returncode}:\n{message.decode()}")
-    return wall_s, usage.ru_maxrss / 1024.0
+    return wall_s, usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime
 
 
 def entry_point() -> Path:

@@ -1,6 +1,6 @@
 """Kernel: ns per step and lane, against a floor counted from the kernel's own operations.
 
-Several fresh processes, because the stack's alignment is drawn anew in each. The floor: the Python of
+CPU time, in several fresh processes, because the stack's alignment is drawn anew in each. The floor: the Python of
 the kernel is run on numbers that count what is done to them; a product that goes straight into a sum
 is one operation with it (fused). Each operation costs what a fused pair, a division or a square
 root costs in a loop of nothing else, compiled by the same compiler on the same core. Loads and
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from collections import Counter
 from functools import partial
 from statistics import median
@@ -68,7 +69,7 @@ def _timed() -> dict[str, Any]:
         sums = np.empty((n_blocks, 8, 8))
         call = partial(advance, *arguments, block_steps, slot, sums)
         call()
-        found[source] = median(seconds(call, 7)) / (n_blocks * block_steps * 8) * 1e9
+        found[source] = median(seconds(call, 7, time.process_time)) / (n_blocks * block_steps * 8) * 1e9
     return found
 
 
@@ -123,7 +124,7 @@ def _prices() -> dict[str, float]:
     for kind, loop, depth in (("arithmetic", fused, 16), ("division", divided, 8), ("root", rooted, 8)):
         x = np.full(64, 0.2)
         loop(x, 10)
-        prices[kind] = min(seconds(lambda f=loop, a=x: f(a, 2000), 9)) / (2000 * 64 * depth) * 1e9
+        prices[kind] = min(seconds(partial(loop, x, 20000), 9, time.process_time)) / (20000 * 64 * depth) * 1e9
     return prices
 
 

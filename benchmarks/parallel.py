@@ -20,7 +20,7 @@ from thousand import campaign_text
 def measure(quick: bool) -> Report:
     """Figures of one process with and without a second worker."""
     report = Report("One and two workers")
-    found = [fresh(__file__, quick=quick) for _ in range(1 if quick else 3)]
+    found = [fresh(__file__, quick=quick) for _ in range(1 if quick else 2)]
     for name in found[0]:
         bar = {"sweep, 2 threads: simulation + extraction": 0.1}.get(name)
         unit = "" if "efficiency" in name else "s"
@@ -48,13 +48,13 @@ def child(quick: bool) -> dict[str, float]:
             "kernel alone, 100 points, 1 thread": _kernel_s(plan, plant),
         }
         campaign, output = Path(folder) / "campaign.toml", Path(folder) / "y.parquet"
-        campaign.write_text(campaign_text(20 if quick else 60, 100), "utf-8")
+        campaign.write_text(campaign_text(12 if quick else 30, 100), "utf-8")
         big, big_plant = planned(campaign)
 
         def command(jobs: int) -> Callable[[], object]:
             return lambda: run(big, big_plant, output, jobs=jobs)
 
-        one, two = _in_turns((command(1), command(2)), 1 if quick else 3)
+        one, two = _in_turns((command(1), command(2)), 1 if quick else 2)
     n = len(big.conditions)
     return found | {
         f"campaign of {n} operating points, 1 worker": one,

@@ -1,0 +1,49 @@
+"""The examples run as they stand, in seconds, and say what they promise."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
+
+
+def output_of(*command: str, cwd: Path) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_plant_of_ones_own_keeps_its_promise_and_is_swept_to_its_closed_form(tmp_path: Path) -> None:
+    said = output_of(sys.executable, str(EXAMPLES / "bring_your_own_plant.py"), cwd=tmp_path)
+    assert "FAIL" not in said
+    found = re.search(r"(\d+) points, largest error .*: (\S+)$", said.strip())
+    assert found, said
+    points, error = found.groups()
+    assert int(points) == 5
+    assert float(error) < 1e-4  # windows agree to 1e-5, the default tolerance
+
+
+def test_the_table_is_read_without_the_package(tmp_path: Path) -> None:
+    table = str(tmp_path / "y.parquet")
+    points = "sweep.points=8"
+    output_of(SEQSWEEP, "run", str(EXAMPLES / "table1.toml"), "-o", table, "--set", points, cwd=tmp_path)
+    said = output_of(sys.executable, str(EXAMPLES / "read_the_table.py"), table, cwd=tmp_path)
+    assert "seqsweep-admittance 1." in said
+    assert "8 rows" in said
+    assert "|Ypp| is largest at" in said
+
+
+def test_a_simulator_from_elsewhere_is_swept_from_cold(tmp_path: Path) -> None:
+    pytest.importorskip("dpsimpy", reason="the extra 'bench' is not installed")
+    shutil.copytree(EXAMPLES, tmp_path / "examples")
+    table = str(tmp_path / "y.parquet")
+    campaign = str(EXAMPLES / "dpsim_plant.toml")
+    output_of(SEQSWEEP, "run", campaign, "-o", table, "--set", "sweep.f_hz=[80.0]", cwd=tmp_path)
+    output_of(SEQSWEEP, "validate", table, cwd=tmp_path)
