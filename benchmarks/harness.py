@@ -76,7 +76,9 @@ def run_script(name: str, measure: Callable[[bool], Report], child: Callable[...
         assert child is not None
         print(json.dumps(child(**json.loads(arguments.child))))
         return
+    load = os.getloadavg()[0]
     report = measure(arguments.quick)
+    report.add("load average of the machine before it began", load, f"on {os.cpu_count()} cores")
     print(f"{report.title}\n\n{report.table()}")
     KEPT.mkdir(parents=True, exist_ok=True)
     kept = {"quick": arguments.quick, **asdict(report)}
