@@ -25,7 +25,7 @@ def slow(tmp_path_factory):
     return path, table.read_bytes()
 
 
-def killed(path, table, moment, *options):
+def killed(path, table, moment, *options, orphans=False):
     """Start the command, and kill -9 its runner alone when ``moment()`` has come; True if it was still at work."""
     process = start("run", path, "-o", table, *options)
     try:
@@ -34,7 +34,8 @@ def killed(path, table, moment, *options):
         if caught:
             os.kill(process.pid, signal.SIGKILL)
         process.wait(timeout=10)
-        wait_for(lambda: not group_members(process.pid), 15.0)  # workers notice, and go by themselves
+        if not orphans:
+            wait_for(lambda: not group_members(process.pid), 15.0)  # workers notice, and go by themselves
         return caught
     finally:
         end_group(process)
@@ -80,14 +81,18 @@ def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
     path = slow_campaign(tmp_path, plant="python:plants:SlowPythonBranch", rest_s=0.01, n_points=2)
     table, fresh = tmp_path / "y.parquet", tmp_path / "fresh.parquet"
     setting = ["--set", "plant.isolate=false", "--jobs", 2]
-    assert killed(path, table, lambda: len(shards_of(table)) >= 1, *setting)
+    assert killed(path, table, lambda: len(shards_of(table)) >= 3, *setting)
     assert finished(path, table, *setting) == finished(path, fresh, *setting)
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("backend", ["threading", "loky"])
 def test_kills_at_random_moments_leave_the_bytes_alone(tmp_path, backend):
-    """Thirty kills of each backend, at moments drawn over the whole run, start and end included."""
+    """Thirty kills of each backend, at moments drawn over the whole run, start and end included.
+
+    A process that loky has started and that has no task yet does not know its runner: it may stay for
+    loky's five minutes. The shards and the lock are not its business.
+    """
     path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 9)], n=60)
     fresh = tmp_path / "fresh.parquet"
     setting = ["--jobs", 2, "--backend", backend]
@@ -100,7 +105,7 @@ def test_kills_at_random_moments_leave_the_bytes_alone(tmp_path, backend):
         runs += 1
         for _ in range(3):  # the same output, killed up to three times
             end = time.monotonic() + dice.uniform(0.0, whole_s)
-            kills += killed(path, table, lambda end=end: time.monotonic() >= end, *setting)
+            kills += killed(path, table, lambda end=end: time.monotonic() >= end, *setting, orphans=True)
             if table.exists():
                 break
         if not table.exists():
