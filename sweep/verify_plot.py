@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from .verify import Verification
 
-_WITHOUT: dict[str, Any] = {"color": "#d9730d", "lw": 0.8, "zorder": 2}
+_WITHOUT: dict[str, Any] = {"color": "#f2a35c", "lw": 1.8, "zorder": 2}  # wide and light: seen beneath a dark twin
 _WITH: dict[str, Any] = {"color": "#08306b", "lw": 1.1, "zorder": 3}
 
 
@@ -87,7 +87,9 @@ def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:
         t, p = _until_lost(curve.trajectory, curve.trajectory.p_w / 1e6)
         axes.plot(t, p, label=curve.label, **curve.style)
         if curve.trajectory.lost_s is not None:
-            axes.plot(t[-1:], p[-1:], "x", color="#a50f15", ms=7, mew=1.6, zorder=4, label="synchronism lost")
+            where = axes.get_xaxis_transform()
+            style = {"color": "#a50f15", "marker": "x", "ls": "none", "ms": 7, "mew": 1.6, "zorder": 4}
+            axes.plot([curve.trajectory.lost_s], [0.08], transform=where, label="synchronism lost", **style)
     axes.set_ylabel("P (MW)")
     quiet(axes)
     without_spikes(axes)
@@ -119,12 +121,14 @@ def draw_ratio(axes: Axes, curves: tuple[Curve, ...], threshold: float) -> None:
     quiet(axes)
 
 
-def draw_frequency(axes: Axes, curves: tuple[Curve, ...], least: float = 2e-3) -> None:
-    """Frequency of the stronger component (Hz) where r is more than ``least``."""
+def draw_frequency(axes: Axes, curves: tuple[Curve, ...], least: float = 2e-3, both: bool = False) -> None:
+    """Frequency of the stronger component (Hz) where r is more than ``least``; ``both``: and its mirror, smaller."""
     for curve in curves:
         trajectory = curve.trajectory
         t, f = _decided(trajectory, np.where(trajectory.ratio > least, trajectory.resonance_hz, np.nan))
         axes.plot(t, f, ".", ms=2.5, color=curve.style["color"], label=curve.label)
+        if both:
+            axes.plot(t, 2.0 * trajectory.f1_hz - f, ".", ms=1.2, color=curve.style["color"])
     axes.axhline(curves[0].trajectory.f1_hz, color="0.35", lw=0.7, ls=(0, (2, 2)))
     axes.set_ylim(0.0, 2.0 * curves[0].trajectory.f1_hz)
     axes.set_ylabel("stronger\ncomponent (Hz)")
