@@ -19,12 +19,13 @@ from ..identify.table import QUALITY, write_table
 from ..plant.protocol import Plant
 from ..plant.registry import releases_gil
 from . import shards
+from .grid import Frequency
 from .isolate import children, die_with_parent
 from .measure import BatchResult, Row, measure
 from .plan import Batch, Condition, Plan
 
-Report = Callable[[int, int], None]
-"""Called with (points done, points in all) whenever a batch is kept."""
+Report = Callable[[int, int, float], None]
+"""Called with (points done, points in all, share of the work done) whenever a batch is kept."""
 
 RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
@@ -52,7 +53,7 @@ def run(
     jobs: int,
     backend: str | None = None,
     scheduler: str | None = None,
-    report: Report = lambda done, total: None,
+    report: Report = lambda done, total, share: None,
 ) -> Outcome:
     """Measure every point of ``plan`` and write the table to ``output``; go on where a run was ended.
 
@@ -91,14 +92,21 @@ def _measure_missing(
     plan: Plan, plant: Plant, folder: Path, jobs: int, backend: str, scheduler: str | None, report: Report
 ) -> None:
     """Bring every shard of the plan into the folder."""
-    total = len(plan.conditions) * len(plan.points)
+    total, work = len(plan.conditions) * len(plan.points), _work(plan.points) * len(plan.conditions)
     missing = [batch for batch in plan.batches() if shards.read(folder, batch.key) is None]
     done = total - sum(len(batch.points) for batch in missing)
-    report(done, total)
+    left = sum(_work(batch.points) for batch in missing)
+    report(done, total, 1.0 - left / work)
     for batch, result in _results(plan, plant, missing, jobs, backend, scheduler):
         shards.write(folder, batch.key, result)
         done += len(batch.points)
-        report(done, total)
+        left -= _work(batch.points)
+        report(done, total, 1.0 - left / work)
+
+
+def _work(points: Sequence[Frequency]) -> int:
+    """Work of some points: long windows come first, so points alone would promise too long a wait."""
+    return sum(point.window_blocks for point in points)
 
 
 # Workers

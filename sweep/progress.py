@@ -15,32 +15,32 @@ LINE_S = 5.0
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[int, int], None]]:
-    """A function to call with (points done, points in all)."""
+def progress() -> Iterator[Callable[[int, int, float], None]]:
+    """A function to call with (points done, points in all, share of the work done)."""
     if not sys.stderr.isatty():
         yield _plain_lines()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), TextColumn("points"), TimeRemainingColumn()
+    columns = TextColumn("sweep"), BarColumn(), TextColumn("{task.fields[points]} points"), TimeRemainingColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("sweep", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task("sweep", total=1.0, points="")
+        yield lambda done, total, share: bar.update(task, completed=share, points=f"{done}/{total}")
 
 
-def _plain_lines() -> Callable[[int, int], None]:
+def _plain_lines() -> Callable[[int, int, float], None]:
     begin = time.monotonic()
-    last, first_done = begin - LINE_S + QUIET_S, -1
+    last, first_share = begin - LINE_S + QUIET_S, -1.0
 
-    def report(done: int, total: int) -> None:
-        nonlocal last, first_done
+    def report(done: int, total: int, share: float) -> None:
+        nonlocal last, first_share
         now = time.monotonic()
-        if first_done < 0:  # points kept by an earlier run say nothing about the speed of this one
-            first_done = done
+        if first_share < 0.0:  # what an earlier run kept says nothing about the speed of this one
+            first_share = share
         if now - last >= LINE_S:
-            fresh = done - first_done
-            left = f", about {(now - begin) / fresh * (total - done):.0f} s left" if fresh else ""
+            fresh = share - first_share
+            left = f", about {(now - begin) / fresh * (1.0 - share):.0f} s left" if fresh > 0.0 else ""
             print(f"{done}/{total} points{left}", file=sys.stderr, flush=True)
             last = now
 

@@ -27,9 +27,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """Only a whole and green evidence run speaks for the pages."""
-    whole = session.config.option.markexpr == "evidence" and not session.config.option.keyword
-    named = any(str(argument) != "tests" for argument in session.config.args if "::" in str(argument))
-    if whole and not named and exitstatus == 0 and len(_said) > 1:
+    config = session.config
+    whole = config.option.markexpr == "evidence" and not config.option.keyword
+    if whole and config.args_source is pytest.Config.ArgsSource.TESTPATHS and exitstatus == 0:
         PAGE.write_text(HEAD + "".join(_section(name, text) for name, text in sorted(_said.items()) if text))
 
 

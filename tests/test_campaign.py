@@ -142,7 +142,7 @@ def test_only_what_is_missing_is_measured_again(left_behind, undisturbed, counte
     for key in gone:
         (folder / key).unlink()
     seen = []
-    run(plan, plant, output, jobs=1, backend="threading", report=lambda done, total: seen.append((done, total)))
+    run(plan, plant, output, jobs=1, backend="threading", report=lambda done, total, share: seen.append((done, total)))
     assert counted == gone
     assert output.read_bytes() == undisturbed
     assert not folder.exists()
@@ -199,7 +199,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, undisturbed, counted)
     plan, plant = planned()
     output = tmp_path / "y.parquet"
 
-    def stop_after_three(done, total):
+    def stop_after_three(done, total, share):
         if len(list(shards.folder_of(output).glob("?" * 64))) == 3:
             raise KeyboardInterrupt
 
