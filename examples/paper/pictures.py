@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from simulated import THRESHOLD, Run, Story
-from swept import K_PAPER, Study, crossing_of, mode_of, pair_of, siso_of
+from swept import K_PAPER, Study, crossing_of, mode_of, moved_poles, pair_of, siso_of
 
 from seqsweep.plant.damping import notch
 from seqsweep.sweep.verify_plot import (
@@ -123,7 +123,7 @@ def reshaped(study: Study) -> Figure:
     _note(axes[0, 0], f"$m$ = {margins}")
     axes[0, 0].legend(loc="lower right", fontsize=7.5, frameon=False)
     axes[0, 0].set_ylabel("Magnitude (S)")
-    axes[1, 0].set_ylabel("Phase of $Y/Y_g$ (deg)")
+    axes[1, 0].set_ylabel("$\\angle\\, Y/Y_g$ (deg)")
     return figure
 
 
@@ -162,10 +162,9 @@ def poles(study: Study) -> Figure:
     figure = Figure(figsize=(_WIDTH, 3.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     for gain, label, marker, colour in cases:
-        loop = study.point(0.65, 1.4, gain).stability.closed_loop  # type: ignore[union-attr]
-        near = (loop.f_hz < 50.0) & (loop.poles.real > -50.0)
+        moved = moved_poles(study.point(0.65, 1.4, gain))
         style = {"color": colour, "ls": "none", "marker": marker, "ms": 6, "mew": 1.4, "fillstyle": "none"}
-        left.plot(loop.poles.real[near], loop.f_hz[near], label=label, **style)
+        left.plot(moved.real, moved.imag / (2.0 * np.pi), label=label, **style)
         powers = (0.60, 0.65, 0.70)
         damping = [100.0 * mode_of(study.point(p, 1.4, gain))[1] for p in powers]
         right.plot(powers, damping, color=colour, marker=marker, lw=1.0, ms=6, fillstyle="none", label=label)
@@ -175,12 +174,14 @@ def poles(study: Study) -> Figure:
     right.plot([0.65], [10.1], "s", color="0.4", ms=5)
     for axes in (left, right):
         quiet(axes)
-    left.legend(fontsize=7.5, loc="lower left", bbox_to_anchor=(0.0, 0.12))
+    left.legend(fontsize=7.5, loc="lower left", bbox_to_anchor=(0.0, 0.1))
     right.legend(fontsize=7.5, loc="upper right", bbox_to_anchor=(1.0, 0.78), framealpha=1.0)
     left.axvline(0.0, color="k", lw=0.8)
     left.set_xlabel("Real part (rad/s)")
     left.set_ylabel(r"|Im|/2$\pi$ in dq (Hz)")
-    left.set_title("poles at 0.65 MW, 1.4 Z")
+    left.set_xlim(-70.0, 20.0)
+    left.set_ylim(-2.0, 55.0)
+    left.set_title("poles that the grid moves, 0.65 MW, 1.4 Z")
     right.axhline(0.0, color="k", lw=0.8)
     right.set_xlim(0.585, 0.735)
     right.set_xlabel("Active power (MW)")
@@ -227,7 +228,7 @@ def _bode_labels(axes: np.ndarray) -> None:
     for row in (0, 2):
         axes[row, 0].set_ylabel("Magnitude (S)")
         axes[row, 2].legend(loc="lower right", fontsize=7.5, frameon=False)
-        axes[row + 1, 0].set_ylabel("Phase of $Y/Y_g$ (deg)")
+        axes[row + 1, 0].set_ylabel("$\\angle\\, Y/Y_g$ (deg)")
 
 
 # Sections IV to VI ---------------------------------------------------------------------------------------------------

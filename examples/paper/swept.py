@@ -117,6 +117,15 @@ def mode_of(point: PointTuning) -> tuple[complex, float]:
     return complex(loop.poles[loop.critical]), float(loop.damping[loop.critical])
 
 
+def moved_poles(point: PointTuning) -> np.ndarray:
+    """Closed-loop poles (rad/s, dq) but for those that stay where the device's own are: the grid does not see them."""
+    assert point.model is not None
+    assert point.stability is not None
+    poles = point.stability.closed_loop.poles
+    distance = np.abs(poles[:, None] - point.model.poles[None, :]).min(axis=1)
+    return poles[distance > 1e-2 * np.abs(poles)]
+
+
 def pair_of(point: PointTuning) -> tuple[float, float]:
     """The mode in phase quantities (Hz)."""
     assert point.resonance_hz is not None
