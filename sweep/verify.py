@@ -494,8 +494,8 @@ def _facts(without: RunReport, damped: RunReport, threshold: float) -> list[tupl
     return [
         both("outcome", lambda run: run.outcome),
         both(f"r above {100.0 * threshold:g} % from", lambda run: _time(run.above_s)),
-        both("largest r", lambda run: f"{run.largest_ratio:.1%}"),
-        both("last r", lambda run: f"{run.last_ratio:.2%}"),
+        both("largest r", lambda run: f"{100.0 * run.largest_ratio:.1f} %"),
+        both("last r", lambda run: f"{100.0 * run.last_ratio:.2f} %"),
         both("rate after the last change", lambda run: _value(run.rate_per_s, "+.2f", " 1/s")),
         both("damping control started", lambda run: _times(run.started_s)),
         both("damping control stopped", lambda run: _times(run.stopped_s)),
@@ -518,7 +518,7 @@ def _window_cells(window: WindowReport) -> tuple[str, ...]:
     low, high = sorted((window.f_hz, window.f_mirror_hz))
     pair = f"{low:.1f}/{high:.1f}" if isfinite(low) else "-"
     growth = f"{window.growth_per_s:+.1f}" if isfinite(window.growth_per_s) else "-"
-    return pair, f"{window.ratio:.2%}", growth, f"{window.power_mw:.3f}"
+    return pair, f"{100.0 * window.ratio:.2f} %", growth, f"{window.power_mw:.3f}"
 
 
 def _value(value: float | None, form: str, unit: str) -> str:

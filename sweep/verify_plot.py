@@ -112,7 +112,7 @@ def draw_ratio(axes: Axes, curves: tuple[Curve, ...], threshold: float) -> None:
         axes.semilogy(t, 100.0 * np.maximum(r, 1e-5), label=curve.label, **{**curve.style, "lw": 1.2})
     axes.axhline(100.0 * threshold, color="0.3", lw=0.8, ls=(0, (4, 2)))
     axes.annotate(
-        f"{threshold:.0%}", (1.0, 100.0 * threshold), xycoords=("axes fraction", "data"), xytext=(-2, 2),
+        f"{100.0 * threshold:g} %", (1.0, 100.0 * threshold), xycoords=("axes fraction", "data"), xytext=(-2, 2),
         textcoords="offset points", fontsize=8, ha="right", color="0.3",
     )  # fmt: skip
     axes.set_ylim(0.02, 200.0)
