@@ -126,7 +126,7 @@ def _results(
         except _lost_workers(backend):
             continue
     if left:
-        raise RunError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left. Run again to go on")
+        raise OSError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left")
 
 
 def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:

@@ -121,7 +121,7 @@ class InjectionSection(_Section):
     )
     signal: Literal["tone"] = Field(default="tone", description='"tone"')
     amplitude_pu: Annotated[Positive, Field(le=MAX_AMPLITUDE_PU)] = Field(
-        default=0.001, description=f"a number above 0 and at most {MAX_AMPLITUDE_PU:g}, in pu (peak over rated peak)"
+        default=0.0005, description=f"a number above 0 and at most {MAX_AMPLITUDE_PU:g}, in pu (peak over rated peak)"
     )
 
 

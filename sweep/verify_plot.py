@@ -88,7 +88,7 @@ def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:
         axes.plot(t, p, label=curve.label, **curve.style)
         if curve.trajectory.lost_s is not None:
             where = axes.get_xaxis_transform()
-            style = {"color": "#a50f15", "marker": "x", "ls": "none", "ms": 7, "mew": 1.6, "zorder": 4}
+            style: dict[str, Any] = {"color": "#a50f15", "marker": "x", "ls": "none", "ms": 7, "mew": 1.6, "zorder": 4}
             axes.plot([curve.trajectory.lost_s], [0.08], transform=where, label="synchronism lost", **style)
     axes.set_ylabel("P (MW)")
     quiet(axes)

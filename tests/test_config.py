@@ -65,7 +65,7 @@ def problems(path: Path, *overrides: str) -> list[str]:
 def test_defaults_are_filled_in(write: Write) -> None:
     config = load_config(write(GOOD))
     assert (config.sweep.spacing, config.sweep.tolerance, config.sweep.max_simulated_s) == ("log", 1e-5, 60.0)
-    assert config.injection.model_dump() == {"kind": "series_voltage", "signal": "tone", "amplitude_pu": 0.001}
+    assert config.injection.model_dump() == {"kind": "series_voltage", "signal": "tone", "amplitude_pu": 0.0005}
     assert config.source.kind == "ideal"
     assert config.plant.isolate is None
     assert config.plant.timeout_s is None
