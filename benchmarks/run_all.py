@@ -34,7 +34,7 @@ def main() -> None:
         script = str(Path(__file__).with_name(f"{name}.py"))
         subprocess.run([sys.executable, script, *(["--quick"] if arguments.quick else [])], check=True)
         print(flush=True)
-    _write_page()
+    _write_page(KEPT if arguments.quick else ROOT / "docs" / "figures")
 
 
 def _has_dpsim() -> bool:
@@ -43,16 +43,14 @@ def _has_dpsim() -> bool:
     return find_spec("dpsimpy") is not None
 
 
-def _write_page() -> None:
-    """Page and plot of everything that was kept."""
+def _write_page(folder: Path) -> None:
+    """Page and plot of everything that was kept; what comes from a quick run is marked."""
     kept = {name: read_report(name) for name in NAMES if (KEPT / f"{name}.json").exists()}
-    is_quick = any(quick for _, quick in kept.values())
-    folder = KEPT if is_quick else ROOT / "docs" / "figures"
     folder.mkdir(parents=True, exist_ok=True)
     head = "<!-- written by `python benchmarks/run_all.py`; do not edit -->\n"
     parts = [
-        f"## {report.title}\n\n`python benchmarks/{name}.py`\n\n{report.table()}\n"
-        for name, (report, _) in kept.items()
+        f"## {report.title}\n\n`python benchmarks/{name}.py{' --quick' if quick else ''}`\n\n{report.table()}\n"
+        for name, (report, quick) in kept.items()
     ]
     (folder / "benchmarks.md").write_text("\n".join([head, "# Benchmarks\n", *parts]), "utf-8")
     _draw({name: report for name, (report, _) in kept.items()}, folder / "benchmarks.png")
@@ -74,7 +72,7 @@ def _draw(reports: dict[str, Report], path: Path) -> None:
         bars = left.barh(names, [rates[name] for name in names], color=colours)
         left.bar_label(bars, [f"{rates[name]:.3g}" for name in names], padding=3, fontsize=8)
         left.set_xscale("log")
-        left.margins(x=0.15)
+        left.margins(x=0.25)
         left.set_xlabel("simulated seconds per CPU second")
         left.tick_params(axis="y", labelsize=8)
     if "scaling" in reports:

@@ -67,6 +67,7 @@ def draw(series: dict[str, Any]) -> None:
         axes.loglog(series["time_s"], series[name], style, label="largest error" if name == "max" else "median error")
     for step_us, time_s, error in zip(series["step_us"], series["time_s"], series["max"], strict=True):
         axes.annotate(f"{step_us:g} us", (time_s, error), (4, 6), textcoords="offset points", fontsize=9)
+    axes.margins(x=0.12, y=0.1)
     axes.axhline(BAR_MAX, color="0.5", lw=0.8)
     axes.annotate(
         "asked: 1e-4", (axes.get_xlim()[1], BAR_MAX), (-4, 3), textcoords="offset points", ha="right", fontsize=9
