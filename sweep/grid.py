@@ -26,7 +26,7 @@ MAX_WINDOW_S = 10.0
 LISTED_SHIFT = 1e-3
 """Largest relative move of a listed frequency."""
 
-GENERATED_SHIFT = 0.25
+GENERATED_SHIFT = 1.0 / 3.0
 """Largest move of a generated frequency, in parts of the distance to its neighbour."""
 
 
@@ -86,7 +86,7 @@ def generated(
 ) -> list[Frequency]:
     """A snapped grid from ``f_min_hz`` to ``f_max_hz`` (Hz), strictly increasing, without f1.
 
-    Points move by up to a quarter of the distance to their neighbours, to where the shortest window
+    Points move by up to a third of the distance to their neighbours, to where the shortest window
     is; the ends stay where the step allows it. What coincides after snapping is kept once.
     """
     space = np.geomspace if spacing == "log" else np.linspace

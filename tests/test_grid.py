@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from seqsweep.sweep.grid import (
+    GENERATED_SHIFT,
     LISTED_SHIFT,
     MAX_WINDOW_S,
     MIN_CYCLES,
@@ -80,7 +81,7 @@ def test_a_usual_grid_keeps_its_ends_its_number_and_its_places(spacing):
     assert (grid[0].f_hz, grid[-1].f_hz) == (1.0, 1000.0)
     moved = np.abs([point.f_hz for point in grid] - wanted)
     room = np.minimum(np.diff(wanted, prepend=-np.inf), np.diff(wanted, append=np.inf))
-    assert np.all(moved <= 0.25 * room + 1e-9)
+    assert np.all(moved <= GENERATED_SHIFT * room + 1e-9)
 
 
 def test_a_grid_finer_than_the_windows_can_tell_apart_is_thinned_not_doubled():
