@@ -23,6 +23,7 @@ from harness import Report, fresh, run_script, seconds
 SOURCES = ("ideal", "thevenin")
 BAR_NS = 22.0
 STRETCH_NS = 15.0
+EMT_BAR_NS = 9.0
 
 
 def measure(quick: bool) -> Report:
@@ -41,6 +42,9 @@ def measure(quick: bool) -> Report:
         report.add(f"{source}, divisions and square roots", _slow(counts[source]), "per step and lane")
         report.add(f"{source}, counted floor", floor, "ns/step/lane")
         report.add(f"{source}, median over floor", median(times) / floor, "", 1.5)
+        report.add(f"{source}, second order", median(run[f"{source} emt"] for run in runs), "ns/step/lane", EMT_BAR_NS)
+        ratio = median(run[f"{source} emt"] / run[source] for run in runs)
+        report.add(f"{source}, second order over RK4, same process", ratio, "")
     for kind, ns in price.items():
         report.add(f"price of one {kind}", ns, "ns/lane")
     report.series = {"processes": {source: [run[source] for run in runs] for source in SOURCES}}
@@ -65,22 +69,27 @@ def _timed() -> dict[str, Any]:
     found: dict[str, Any] = {"price": _prices()}
     n_blocks, block_steps = 50, 400
     for source in SOURCES:
-        advance, arguments, slot = _experiment(source)
-        sums = np.empty((n_blocks, 8, 8))
-        call = partial(advance, *arguments, block_steps, slot, sums)
-        call()
-        found[source] = median(seconds(call, 7, time.process_time)) / (n_blocks * block_steps * 8) * 1e9
+        times: dict[str, list[float]] = {source: [], f"{source} emt": []}
+        calls = {}
+        for what, integrator in zip(times, ("rk4", "emt"), strict=True):
+            advance, arguments, slot = _experiment(source, integrator)
+            calls[what] = partial(advance, *arguments, block_steps, slot, np.empty((n_blocks, 8, 8)))
+            calls[what]()
+        for _ in range(7):  # in turns, so that neighbours on the machine disturb both alike
+            for what, call in calls.items():
+                times[what] += seconds(call, 1, time.process_time)
+        found |= {what: median(t) / (n_blocks * block_steps * 8) * 1e9 for what, t in times.items()}
     return found
 
 
-def _experiment(source_kind: str) -> tuple[Any, tuple[Any, ...], int]:
+def _experiment(source_kind: str, integrator: str = "rk4") -> tuple[Any, tuple[Any, ...], int]:
     """A kernel, its arguments but for the blocks, and the slot of the sums: eight lanes, a tone at 77 Hz each."""
     from seqsweep.plant.dpmsg import ReferenceTurbine
     from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
     from seqsweep.plant.kernels import turbine as kernel
     from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
 
-    plant = ReferenceTurbine()
+    plant = ReferenceTurbine(integrator=integrator)
     source = Source() if source_kind == "ideal" else Source("thevenin", LINE_R_OHM, LINE_L_H)
     state = plant.equilibrium(OperatingPoint(0.65e6, 690.0), source)
     job = Job(state, Injection("series_voltage", (Tone(77.0, 0.5),)))

@@ -45,6 +45,8 @@ _DAMPING_RANGES = {
 }
 """Parameters of the damping control: lowest, highest, unit. Frequencies are signed."""
 
+_INTEGRATORS = ("rk4", "emt")
+
 _RESIDUAL_LIMIT = 1e-9
 """Largest change over one period, relative to rated, of a certified steady state."""
 
@@ -90,13 +92,16 @@ class ReferenceTurbine:
         R_grid (ohm) and L_grid (H) of the damping control; those of the line of Table I by default.
     damping_resonance_hz : float
         Signed frequency w_r / 2 pi of the stronger resonance component (Hz).
+    integrator : "rk4" or "emt"
+        The classical Runge-Kutta method, or a second-order step at half its price; see docs/turbine.md. ``trace``
+        is Runge-Kutta's always.
     **parameters : float
         Fields of `TurbineParameters` to replace, e.g. ``k_pp=0.1``.
 
     Raises
     ------
     ValueError
-        If a parameter is unknown or out of its range.
+        If a parameter is unknown or out of its range, or damping control is asked of the integrator "emt".
     """
 
     id = "dpmsg-v1"
@@ -111,11 +116,12 @@ class ReferenceTurbine:
         damping_r_ohm: float = LINE_R_OHM,
         damping_l_h: float = LINE_L_H,
         damping_resonance_hz: float = 77.0,
+        integrator: str = "rk4",
         **parameters: float,
     ):
         unknown = sorted(set(parameters) - set(TurbineParameters._fields))
         if unknown:
-            known = (*_DAMPING_RANGES, *TurbineParameters._fields)
+            known = (*_DAMPING_RANGES, "integrator", *TurbineParameters._fields)
             raise ValueError(f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
         damping = [float(x) for x in (damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz)]
         for (name, (low, high, unit)), value in zip(_DAMPING_RANGES.items(), damping, strict=True):
@@ -125,6 +131,7 @@ class ReferenceTurbine:
             raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
         self.compensation = compensation(*damping)
+        self.integrator = _checked_integrator(integrator, self.compensation)
         self.dt_s = float(dt_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
@@ -258,6 +265,10 @@ class ReferenceTurbine:
         from .kernels import turbine as kernel
 
         ideal = source_kind == "ideal"
+        if self.integrator == "emt":
+            from .kernels import turbine_emt
+
+            return turbine_emt.advance_ideal if ideal else turbine_emt.advance_thevenin
         if self._compensated:
             return kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated
         return kernel.advance_ideal if ideal else kernel.advance_thevenin
@@ -410,6 +421,14 @@ class ReferenceTurbine:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+
+
+def _checked_integrator(integrator: str, block: Compensation) -> str:
+    if integrator not in _INTEGRATORS:
+        raise ValueError(f"integrator is {integrator!r}; dpmsg-v1 has {' and '.join(map(repr, _INTEGRATORS))}")
+    if integrator == "emt" and block != Compensation():
+        raise ValueError("integrator 'emt' has no damping control: leave damping_gain at 0, or take integrator 'rk4'")
+    return integrator
 
 
 def _fault_division(r_f_ohm: float, fault_s: tuple[float, float, float]) -> tuple[float, complex]:
