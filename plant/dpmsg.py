@@ -297,8 +297,8 @@ class ReferenceTurbine:
             sums = np.empty((n_blocks, 8, kernel.LANES))
             advance(lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
             ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
-            for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
-                results[member] = end, _phasors(sums[:, :, lane])
+            for member, end, phasors in zip(members, ends, _phasors(sums), strict=False):
+                results[member] = end, phasors
         return results
 
     def trace(self, state: TurbineState, conditions: Conditions, n_steps: int) -> tuple[TurbineState, Trace]:
@@ -450,14 +450,15 @@ def _set_complex(x: np.ndarray, slot: int, value: complex) -> None:
     x[slot], x[slot + 1] = value.real, value.imag
 
 
-def _phasors(sums: np.ndarray) -> Phasors:
-    """Block sums (n_blocks, 8) as phasors at the line and at its mirror, load direction."""
-    v, i = (_line_and_mirror(sums[:, first : first + 4]) for first in (0, 4))
-    return Phasors(_PHASE_PEAK * v, -_PHASE_PEAK * i)
+def _phasors(sums: np.ndarray) -> list[Phasors]:
+    """Block sums (n_blocks, 8, n_lanes) as phasors at line and mirror, load direction, lane by lane."""
+    v, i = _PHASE_PEAK * _line_and_mirror(sums[:, :4]), -_PHASE_PEAK * _line_and_mirror(sums[:, 4:])
+    return [Phasors(v_lane, i_lane) for v_lane, i_lane in zip(v, i, strict=True)]
 
 
 def _line_and_mirror(sums: np.ndarray) -> np.ndarray:
-    re_re, im_im, im_re, re_im = sums.T
+    """Phasors (n_lanes, n_blocks, 2) of the four sums of products (n_blocks, 4, n_lanes)."""
+    re_re, im_im, im_re, re_im = sums.transpose(1, 2, 0)
     line = (re_re + im_im) + 1j * (im_re - re_im)
     mirror = (re_re - im_im) + 1j * (im_re + re_im)
-    return np.stack([line, mirror], axis=1)
+    return np.stack([line, mirror], axis=2)

@@ -45,12 +45,12 @@ SUM_V, SUM_I = 41, 45
 COMP_R, COMP_X, NOTCH_W0, NOTCH_WIDTH = range(49, 53)
 # Fault at the PCC: v_pcc = share w + skew exp(-2j w1 t) conj(w) of the voltage w without it; the skew is kept turned.
 FAULT_SHARE, FAULT_SKEW_RE, FAULT_SKEW_IM = range(53, 56)
-# The source of the step at hand: voltage at its start, middle and end; the shunt voltage that it forces
-# at start, end and (compensated lanes) middle.
+# The source of the step at hand, but for the first tone: voltage at its start, middle and end; the shunt
+# voltage that it forces there.
 SOURCE = 56
 N_SOURCE_SLOTS = 12
-# Tones: phasor in the dq frame, rotation per half step, response of the ideal source's shunt. The tone
-# being worked on has a place of its own before the list.
+# Tones: phasor in the dq frame, rotation per half step, response of the ideal source's shunt. The first
+# one has a place of its own before the list.
 TONE = SOURCE + N_SOURCE_SLOTS
 N_TONE_SLOTS = 6
 TONES = TONE + N_TONE_SLOTS
@@ -372,58 +372,87 @@ def _listen(x, lane, v_re, v_im, i_re, i_im):
     x[LINE_IM * LANES + lane] = line_im * rot_re + line_re * rot_im
 
 
-@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _source_of_step(x, n_tones, middle):
-    """Source voltage at start, middle and end of the step; forced shunt voltage at start, end, and ``middle`` if asked.
+@njit(forceinline=True)
+def _prepare_source(x, n_tones):
+    """Source without tones into its place, and the first tone into its own, before the first step.
 
-    Tones are copied through one fixed place: a moving offset would hide from the compiler that the
-    lanes of a step do not overlap.
+    The lone tone of a sweep stays there: a moving offset inside the step would hide from the compiler
+    that the lanes do not overlap.
     """
+    _still_source(x)
+    if n_tones > 0:
+        for i in range(N_TONE_SLOTS * LANES):
+            x[TONE * LANES + i] = x[TONES * LANES + i]
+
+
+@njit(forceinline=True)
+def _still_source(x):
+    """The source voltage without any tone, at start, middle and end; so the shunt voltage it forces."""
     for lane in range(LANES):
-        for half in range(3):
-            x[(SOURCE + 2 * half) * LANES + lane] = x[V_S_RE * LANES + lane]
-            x[(SOURCE + 2 * half + 1) * LANES + lane] = x[V_S_IM * LANES + lane]
-        for place in range(3 if middle else 2):
+        for place in range(3):
+            x[(SOURCE + 2 * place) * LANES + lane] = x[V_S_RE * LANES + lane]
+            x[(SOURCE + 2 * place + 1) * LANES + lane] = x[V_S_IM * LANES + lane]
             x[(SOURCE + 6 + 2 * place) * LANES + lane] = x[V_CS_RE * LANES + lane]
             x[(SOURCE + 7 + 2 * place) * LANES + lane] = x[V_CS_IM * LANES + lane]
-    for tone in range(n_tones):
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _further_tones(x, n_tones):
+    """The source of this step with all tones but the first, and those tones one step on."""
+    _still_source(x)
+    for tone in range(1, n_tones):
         first = (TONES + N_TONE_SLOTS * tone) * LANES
-        for i in range(N_TONE_SLOTS * LANES):
-            x[TONE * LANES + i] = x[first + i]
         for lane in range(LANES):
-            re, im = x[(TONE + 0) * LANES + lane], x[(TONE + 1) * LANES + lane]
-            rot_re, rot_im = x[(TONE + 2) * LANES + lane], x[(TONE + 3) * LANES + lane]
-            h_re, h_im = x[(TONE + 4) * LANES + lane], x[(TONE + 5) * LANES + lane]
-            x[(SOURCE + 0) * LANES + lane] += re
-            x[(SOURCE + 1) * LANES + lane] += im
-            x[(SOURCE + 6) * LANES + lane] += h_re * re - h_im * im
-            x[(SOURCE + 7) * LANES + lane] += h_re * im + h_im * re
-            re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
-            x[(SOURCE + 2) * LANES + lane] += re
-            x[(SOURCE + 3) * LANES + lane] += im
-            if middle:
-                x[(SOURCE + 10) * LANES + lane] += h_re * re - h_im * im
-                x[(SOURCE + 11) * LANES + lane] += h_re * im + h_im * re
-            re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
-            x[(SOURCE + 4) * LANES + lane] += re
-            x[(SOURCE + 5) * LANES + lane] += im
-            x[(SOURCE + 8) * LANES + lane] += h_re * re - h_im * im
-            x[(SOURCE + 9) * LANES + lane] += h_re * im + h_im * re
-            x[(TONE + 0) * LANES + lane], x[(TONE + 1) * LANES + lane] = re, im
-        for i in range(2 * LANES):
-            x[first + i] = x[TONE * LANES + i]
+            re, im = x[first + lane], x[first + LANES + lane]
+            rot_re, rot_im = x[first + 2 * LANES + lane], x[first + 3 * LANES + lane]
+            h_re, h_im = x[first + 4 * LANES + lane], x[first + 5 * LANES + lane]
+            for place in range(3):
+                if place > 0:
+                    re, im = re * rot_re - im * rot_im, im * rot_re + re * rot_im
+                x[(SOURCE + 2 * place) * LANES + lane] += re
+                x[(SOURCE + 2 * place + 1) * LANES + lane] += im
+                x[(SOURCE + 6 + 2 * place) * LANES + lane] += h_re * re - h_im * im
+                x[(SOURCE + 7 + 2 * place) * LANES + lane] += h_re * im + h_im * re
+            x[first + lane], x[first + LANES + lane] = re, im
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _source(x, lane):
+    """Source voltage at start, middle and end of the step, and the shunt voltage it forces; the first tone moves on."""
+    re, im = x[(TONE + 0) * LANES + lane], x[(TONE + 1) * LANES + lane]
+    rot_re, rot_im = x[(TONE + 2) * LANES + lane], x[(TONE + 3) * LANES + lane]
+    h_re, h_im = x[(TONE + 4) * LANES + lane], x[(TONE + 5) * LANES + lane]
+    re_1, im_1 = re * rot_re - im * rot_im, im * rot_re + re * rot_im
+    re_2, im_2 = re_1 * rot_re - im_1 * rot_im, im_1 * rot_re + re_1 * rot_im
+    x[(TONE + 0) * LANES + lane], x[(TONE + 1) * LANES + lane] = re_2, im_2
+    voltage = (
+        x[(SOURCE + 0) * LANES + lane] + re,
+        x[(SOURCE + 1) * LANES + lane] + im,
+        x[(SOURCE + 2) * LANES + lane] + re_1,
+        x[(SOURCE + 3) * LANES + lane] + im_1,
+        x[(SOURCE + 4) * LANES + lane] + re_2,
+        x[(SOURCE + 5) * LANES + lane] + im_2,
+    )
+    forced = (
+        x[(SOURCE + 6) * LANES + lane] + h_re * re - h_im * im,
+        x[(SOURCE + 7) * LANES + lane] + h_re * im + h_im * re,
+        x[(SOURCE + 8) * LANES + lane] + h_re * re_1 - h_im * im_1,
+        x[(SOURCE + 9) * LANES + lane] + h_re * im_1 + h_im * re_1,
+        x[(SOURCE + 10) * LANES + lane] + h_re * re_2 - h_im * im_2,
+        x[(SOURCE + 11) * LANES + lane] + h_re * im_2 + h_im * re_2,
+    )
+    return voltage, forced
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _step_ideal(x, n_tones, p, h, decay):
     """One step with the source at the PCC itself; ``decay`` is the shunt's over a step."""
     decay_re, decay_im = decay
-    _source_of_step(x, n_tones, False)
+    if n_tones > 1:
+        _further_tones(x, n_tones)
     for lane in range(LANES):
         wind = x[WIND * LANES + lane]
-        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
         y = _load_13(x, lane)
         v_c_re, v_c_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
         _listen(
@@ -435,9 +464,9 @@ def _step_ideal(x, n_tones, p, h, decay):
             y[I_L_IM] - (v0_im - v_c_im) / p.r_f_ohm,
         )
         # Shunt: exact forced response plus the decaying rest of what went before.
-        rest_re, rest_im = v_c_re - x[(SOURCE + 6) * LANES + lane], v_c_im - x[(SOURCE + 7) * LANES + lane]
-        x[V_C_RE * LANES + lane] = x[(SOURCE + 8) * LANES + lane] + rest_re * decay_re - rest_im * decay_im
-        x[V_C_IM * LANES + lane] = x[(SOURCE + 9) * LANES + lane] + rest_im * decay_re + rest_re * decay_im
+        rest_re, rest_im = v_c_re - forced[0], v_c_im - forced[1]
+        x[V_C_RE * LANES + lane] = forced[4] + rest_re * decay_re - rest_im * decay_im
+        x[V_C_IM * LANES + lane] = forced[5] + rest_im * decay_re + rest_re * decay_im
         c, s = _cos_sin(y[DELTA])
         k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, wind, p)
         z = _moved_13(y, 0.5 * h, k1)
@@ -456,12 +485,11 @@ def _step_ideal(x, n_tones, p, h, decay):
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _step_thevenin(x, n_tones, p, h):
     """One step behind the lane's Thevenin impedance."""
-    _source_of_step(x, n_tones, False)
+    if n_tones > 1:
+        _further_tones(x, n_tones)
     for lane in range(LANES):
         wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
-        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
         y = _load_13(x, lane) + (
             x[V_C_RE * LANES + lane],
             x[V_C_IM * LANES + lane],
@@ -497,20 +525,19 @@ def _step_thevenin(x, n_tones, p, h):
 def _step_ideal_compensated(x, n_tones, p, h, decay):
     """`_step_ideal` with the lanes' compensation before the controller; ``decay`` is over half a step."""
     half_re, half_im = decay
-    _source_of_step(x, n_tones, True)
+    if n_tones > 1:
+        _further_tones(x, n_tones)
     for lane in range(LANES):
         wind, block = x[WIND * LANES + lane], _load_4(x, COMP_R, lane)
-        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
         y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
         # Shunt: exact forced response plus the decaying rest of what went before.
         c0_re, c0_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
-        rest_re, rest_im = c0_re - x[(SOURCE + 6) * LANES + lane], c0_im - x[(SOURCE + 7) * LANES + lane]
+        rest_re, rest_im = c0_re - forced[0], c0_im - forced[1]
         rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
-        c1_re, c1_im = x[(SOURCE + 10) * LANES + lane] + rest_re, x[(SOURCE + 11) * LANES + lane] + rest_im
+        c1_re, c1_im = forced[2] + rest_re, forced[3] + rest_im
         rest_re, rest_im = rest_re * half_re - rest_im * half_im, rest_im * half_re + rest_re * half_im
-        c2_re, c2_im = x[(SOURCE + 8) * LANES + lane] + rest_re, x[(SOURCE + 9) * LANES + lane] + rest_im
+        c2_re, c2_im = forced[4] + rest_re, forced[5] + rest_im
         x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = c2_re, c2_im
         _listen(
             x,
@@ -541,13 +568,12 @@ def _step_ideal_compensated(x, n_tones, p, h, decay):
 def _step_thevenin_compensated(x, n_tones, p, h, turn):
     """`_step_thevenin` with compensation, and the lanes' fault at the PCC, turned by ``turn`` a half step."""
     turn_re, turn_im = turn
-    _source_of_step(x, n_tones, False)
+    if n_tones > 1:
+        _further_tones(x, n_tones)
     for lane in range(LANES):
         constants = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         block = _load_4(x, COMP_R, lane)
-        v0_re, v0_im = x[(SOURCE + 0) * LANES + lane], x[(SOURCE + 1) * LANES + lane]
-        v1_re, v1_im = x[(SOURCE + 2) * LANES + lane], x[(SOURCE + 3) * LANES + lane]
-        v2_re, v2_im = x[(SOURCE + 4) * LANES + lane], x[(SOURCE + 5) * LANES + lane]
+        (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
         share, re, im = (
             x[FAULT_SHARE * LANES + lane],
             x[FAULT_SKEW_RE * LANES + lane],
@@ -623,6 +649,7 @@ def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
         last step, or the block's sums.
     """
     decay = _shunt_decay(p, h)
+    _prepare_source(x, n_tones)
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
@@ -633,6 +660,7 @@ def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
 def advance_thevenin(x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' Thevenin impedances before the PCC."""
+    _prepare_source(x, n_tones)
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
@@ -644,6 +672,7 @@ def advance_thevenin(x, n_tones, p, h, block_steps, slot, kept):
 def advance_ideal_compensated(x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the source at the PCC and the lanes' compensation before the controller."""
     decay = _shunt_decay(p, 0.5 * h)
+    _prepare_source(x, n_tones)
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
@@ -655,6 +684,7 @@ def advance_ideal_compensated(x, n_tones, p, h, block_steps, slot, kept):
 def advance_thevenin_compensated(x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' impedances, compensations and faults."""
     turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
+    _prepare_source(x, n_tones)
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
@@ -669,6 +699,7 @@ def advance_tracing(x, p, h, sample_steps, samples):
     Columns: v_pcc (re, im), i_g (re, im), v_dc, w_m, delta.
     """
     turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)
+    _prepare_source(x, 0)
     for k in range(samples.shape[0]):
         samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
         for step in range(sample_steps):
