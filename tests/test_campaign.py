@@ -188,7 +188,7 @@ def test_a_shard_under_another_name_is_not_that_other(left_behind):
 
 def test_shards_of_another_configuration_are_not_used(left_behind, counted, tmp_path):
     _, _, output, folder = left_behind
-    plan, plant = planned(injection={"amplitude_pu": 0.0005})
+    plan, plant = planned(injection={"amplitude_pu": 0.0004})
     run(plan, plant, output, jobs=1, backend="threading")
     assert counted == [batch.key for batch in plan.batches()]
     assert output.read_bytes() == written(tmp_path / "fresh", plan, plant)

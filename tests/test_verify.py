@@ -168,7 +168,7 @@ def test_command_line_writes_everything_and_ends_with_zero(folder, tmp_path, mon
     arguments = ("verify", folder / "tuning.json", "--op", "weak", "--scenario", story, "-o", out)
     status, printed, _ = called(monkeypatch, capsys, *arguments, "--plot", tmp_path / "verify.svg")
     assert status == 0
-    assert "fault a-b-c" in printed
+    assert "fault a-b-c" in " ".join(printed.split())
     assert json.loads(out.read_text())["runs"]["with"]["started_s"] == []
     assert (tmp_path / "verify.svg").exists()
 
