@@ -1,4 +1,4 @@
-"""A plant of one's own an inductive load, on an ideal source.
+"""A plant of one's own: an inductive load, on an ideal source.
 
     python examples/bring_your_own_plant.py
 

@@ -345,7 +345,7 @@ def _drop_faint_instability(problem: _Problem, trial: _Trial) -> tuple[_Trial, t
     n_left_out = _order(trial.poles) - _order(stable.poles)
     if n_left_out == 0 or _relative_misfit(problem, stable) > _FAINT:
         return trial, ()
-    note = f"poles left out of the fit, unstable ones among them: {n_left_out}; its misfit stays below {_FAINT:g} of Y"
+    note = f"{n_left_out} faint poles, unstable ones among them, left out of the fit: it still matches Y to {_FAINT:g}"
     return stable, (note,)
 
 

@@ -53,6 +53,7 @@ def run(
     jobs: int,
     backend: str | None = None,
     scheduler: str | None = None,
+    discard: bool = False,
     report: Report = lambda done, total, share: None,
 ) -> Outcome:
     """Measure every point of ``plan`` and write the table to ``output``; go on where a run was ended.
@@ -69,11 +70,15 @@ def run(
         None: threads for plants that release the interpreter lock or run isolated, processes for others.
     scheduler : str or None
         Address of a dask scheduler; None starts a local cluster.
+    discard : bool
+        Whether unfinished work of another campaign on this output may go.
     report : callable
         Progress.
 
     Raises
     ------
+    RunError
+        If the shards beside the output are another campaign's, and are not to be discarded.
     OutputInUse
         If another run writes this output.
     OSError
@@ -82,10 +87,22 @@ def run(
     backend = backend or ("threading" if plan.isolate or releases_gil(plant) else "loky")
     folder = shards.folder_of(output)
     with shards.locked(folder):
+        if not discard:
+            _refuse_strangers(plan, folder)
         _measure_missing(plan, plant, folder, jobs, backend, scheduler, report)
         outcome = _assemble(plan, plant, folder, output)
         shards.remove(folder)
     return outcome
+
+
+def _refuse_strangers(plan: Plan, folder: Path) -> None:
+    """Work of another campaign is not thrown away unasked: a forgotten ``--set`` would cost it."""
+    strangers = shards.keys(folder) - {batch.key for batch in plan.batches()}
+    if strangers:
+        raise RunError(
+            f"{folder} holds {len(strangers)} batches of another campaign, or of this one with other settings: run "
+            "that one again to finish it, or give --force to discard them"
+        )
 
 
 def _measure_missing(

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from ..plant.protocol import Plant
     from .plan import Plan
 
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
 OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -101,7 +103,9 @@ def run(
     from .progress import progress
 
     with progress() as report:
-        outcome = run_campaign(planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, report=report)
+        outcome = run_campaign(
+            planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, discard=force, report=report
+        )
     counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.statuses.items(), key=lambda item: -item[1]))
     typer.echo(f"{output}: {counts}", err=True)
     if not outcome.all_ok:
@@ -117,10 +121,12 @@ def show(
     """Summarise a table, and draw its Bode plot."""
     from .show import summary
 
+    if op is not None and plot is None:
+        raise _WrongInput("--op names the operating point to draw: it goes with --plot FILE")
+    _check_outputs(None, plot)
     terminal = sys.stdout.isatty()
     typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
     if plot is not None:
-        _check_folder(plot)
         from .plot import bode
 
         drawn = bode(table, plot, op)
@@ -172,9 +178,7 @@ def tune(
     from ..tuning.siso import parse_grid
     from ..tuning.tune import tune as judge
 
-    for path in (output, plot):
-        if path is not None:
-            _check_folder(path)
+    _check_outputs(output, plot)
     content = read_table(table)
     result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
     if confirm:
@@ -211,9 +215,7 @@ def verify(
     from .verify import cause_gone_of, format_report, read_tuning, tuned_of, write_json
     from .verify import verify as run_both
 
-    for path in (output, plot):
-        if path is not None:
-            _check_folder(path)
+    _check_outputs(output, plot)
     tuned = tuned_of(read_tuning(tuning), op)
     cause_gone = None if table is None else cause_gone_of(read_table(table).response(tuned.op_id))
     result = run_both(tuned, None if scenario is None else read_story(scenario), cause_gone)
@@ -241,6 +243,15 @@ def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant]:
     for warning in planned.warnings:
         typer.echo(f"warning: {warning}", err=True)
     return planned, plant
+
+
+def _check_outputs(output: Path | None, plot: Path | None) -> None:
+    """Refuse, before anything is computed, what could not be written in the end."""
+    if plot is not None and plot.suffix.lower() not in PLOT_SUFFIXES:
+        raise _WrongInput(f"{plot}: the suffix decides the format of the plot; needed: {', '.join(PLOT_SUFFIXES)}")
+    for path in (output, plot):
+        if path is not None:
+            _check_folder(path)
 
 
 def _check_folder(output: Path) -> None:

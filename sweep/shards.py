@@ -88,6 +88,11 @@ def read(folder: Path, key: str) -> BatchResult | None:
     return BatchResult(tuple(_row(row) for row in content["rows"]), content["condition"])
 
 
+def keys(folder: Path) -> set[str]:
+    """Names of all shards in the folder, whoever wrote them."""
+    return {path.name for path in folder.iterdir() if _is_key(path.name)}
+
+
 def remove(folder: Path) -> None:
     """Remove the shards once the table is written; a file that is not ours stays, and so does the folder."""
     for path in folder.iterdir():

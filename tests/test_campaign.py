@@ -14,7 +14,7 @@ from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
 from seqsweep.plant.protocol import NotSettled
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep import campaign, loadflow, shards
-from seqsweep.sweep.campaign import run
+from seqsweep.sweep.campaign import RunError, run
 from seqsweep.sweep.config import Config
 from seqsweep.sweep.plan import Grid, make_plan
 
@@ -189,7 +189,10 @@ def test_a_shard_under_another_name_is_not_that_other(left_behind):
 def test_shards_of_another_configuration_are_not_used(left_behind, counted, tmp_path):
     _, _, output, folder = left_behind
     plan, plant = planned(injection={"amplitude_pu": 0.0004})
-    run(plan, plant, output, jobs=1, backend="threading")
+    with pytest.raises(RunError, match=r"of another campaign.*--force to discard"):
+        run(plan, plant, output, jobs=1, backend="threading")
+    assert not counted
+    run(plan, plant, output, jobs=1, backend="threading", discard=True)
     assert counted == [batch.key for batch in plan.batches()]
     assert output.read_bytes() == written(tmp_path / "fresh", plan, plant)
     assert not folder.exists()  # the strangers are gone too: the table is whole without them

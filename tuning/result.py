@@ -141,7 +141,14 @@ def confirmed(result: TuningResult, op_id: str, search: GainSearch) -> TuningRes
             f"at k = {search.k:.3g}",
         )
     margin = search.margin_m if np.isfinite(search.margin_m) else None
-    settled = replace(point, k=search.k, margin_m_with_k=margin, reached=search.reached, warnings=warnings)
+    settled = replace(
+        point,
+        k=search.k,
+        margin_m_predicted=None,  # it belonged to the formula's k
+        margin_m_with_k=margin,
+        reached=search.reached,
+        warnings=warnings,
+    )
     return replace(result, points=tuple(settled if p is point else p for p in result.points))
 
 
