@@ -6,11 +6,11 @@ machine failed us. What a command needs is imported inside it: ``--help`` must n
 
 from __future__ import annotations
 
-import atexit
 import os
 import shutil
 import signal
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -269,17 +269,18 @@ def main() -> None:
 
 
 def console() -> None:
-    """Run the command line and end the process at once.
+    """Run the command line and end the process.
 
-    Everything is written by then, and taking the compiler down in order would cost 0.3 s. Interrupted,
-    workers may be deep in a plant: nothing of theirs is needed any more, their clean-up included.
+    Everything is written by then, and taking the compiler down in order would cost 0.3 s: with no
+    other thread left, nothing else waits for an orderly end. Interrupted, workers may be deep in a
+    plant, and nothing of theirs is needed any more.
     """
     status = _status()
     sys.stdout.flush()
     sys.stderr.flush()
-    if status != INTERRUPTED:
-        atexit._run_exitfuncs()
-    os._exit(status)
+    if status == INTERRUPTED or threading.active_count() == 1:
+        os._exit(status)
+    raise SystemExit(status)  # pools of processes are taken down by the interpreter
 
 
 def _status() -> int:
