@@ -144,8 +144,8 @@ def read_tuning(path: str | Path) -> dict[str, Any]:
         raise VerifyError(f"{path}: no such file; `seqsweep tune y.parquet --grid R+jX -o {path}` writes it") from None
     except ValidationError as error:
         raise VerifyError(f"{path}: not a tuning result: {error.json_path}: {error.message}") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise VerifyError(f"{path}: not JSON: {error}") from None
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        raise VerifyError(f"{path}: not JSON; needed: the file that `seqsweep tune -o` wrote") from None
     return content
 
 
