@@ -33,7 +33,7 @@ def solve_pn(v: np.ndarray, i: np.ndarray, phi1: float) -> tuple[np.ndarray, flo
     ``[I(f), conj I(2 f1 - f)] = Y [V(f), conj V(2 f1 - f)]``, paper eq. (1); the second component
     is turned by ``exp(2j phi1)``, which refers it to the fundamental.
     """
-    v_pn, i_pn = _components(v, phi1), _components(i, phi1)
+    v_pn, i_pn = components(v, phi1), components(i, phi1)
     scale = np.linalg.norm(v_pn, axis=0)
     if not np.all(scale > 0.0):
         raise np.linalg.LinAlgError("an experiment shows no voltage at its line")
@@ -41,6 +41,6 @@ def solve_pn(v: np.ndarray, i: np.ndarray, phi1: float) -> tuple[np.ndarray, flo
     return y, float(np.linalg.cond(v_pn / scale))
 
 
-def _components(x: np.ndarray, phi1: float) -> np.ndarray:
-    """Column = experiment, row = component of the pn frame."""
+def components(x: np.ndarray, phi1: float) -> np.ndarray:
+    """Phasors (n, 2) at f and 2 f1 - f as components (2, n) of the pn frame: the second conjugated and turned."""
     return np.array([x[:, 0], np.conj(x[:, 1]) * np.exp(2j * phi1)])
