@@ -7,6 +7,8 @@ do not leak, and slow transients are suppressed instead of averaged.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ..plant.protocol import Phasors, Record, Window
@@ -95,9 +97,19 @@ def periodic_window(lines: np.ndarray, n_cycles: int, n_blocks: int, start: floa
     The signal has lines every ``n_blocks`` bins only; the taper hears those at most two bins away.
     """
     heard = 0.0 + 0.0j
+    for distance, weight, harmonic in _heard(len(lines), n_cycles, n_blocks):
+        heard += weight * lines[harmonic] * np.exp(-2j * np.pi * ((distance * start) % 1.0))
+    return heard
+
+
+def periodic_window_variance(variance: np.ndarray, n_cycles: int, n_blocks: int) -> float:
+    """Variance of what `periodic_window` hears where the lines have ``variance`` (n,), independent of each other."""
+    return float(sum(weight**2 * variance[k] for _, weight, k in _heard(len(variance), n_cycles, n_blocks)))
+
+
+def _heard(n_lines: int, n_cycles: int, n_blocks: int) -> Iterator[tuple[int, float, int]]:
+    """Harmonics at most two bins from a line: (distance in bins, weight, number of the harmonic)."""
     for distance in range(-2, 3):
         harmonic, rest = divmod(n_cycles - distance, n_blocks)
-        if rest == 0 and abs(harmonic) < len(lines) // 2:
-            weight = 1.0 if distance == 0 else 0.5 * TAPER[abs(distance)] / TAPER[0]
-            heard += weight * lines[harmonic] * np.exp(-2j * np.pi * ((distance * start) % 1.0))
-    return heard
+        if rest == 0 and abs(harmonic) < n_lines // 2:
+            yield distance, 1.0 if distance == 0 else 0.5 * TAPER[abs(distance)] / TAPER[0], harmonic

@@ -15,27 +15,39 @@ SETTLED_LIMIT = 1e-6
 """Largest change of the unperturbed waveforms over one period, relative to their peak."""
 
 
+STEADY_LIMIT = 4.0
+"""Standard errors by which the two halves of a noisy shot may differ; beyond, it is not at rest yet."""
+
+NOISY_WINDOWS = 6
+"""Fewest windows from which the scatter of a noisy shot is taken."""
+
+
 class Settled(NamedTuple):
-    """The window at which a shot came to rest.
+    """The windows at which a shot came to rest.
 
     Attributes
     ----------
-    v, i : (2,) complex
-        Phasors of that window at f and 2 f1 - f (V, A).
+    v, i : (n, 2) complex
+        Phasors of the windows that count, at f and 2 f1 - f (V, A): the last one of a quiet device, all
+        since it is at rest of a noisy one.
     residual : float
-        Its disagreement with the window before, relative.
+        Quiet: disagreement of the last window with the one before, relative. Noisy: standard error of
+        the mean of the windows, relative.
     window : int
-        Its number, from 0.
+        Number of the last window, from 0.
+    at_rest : bool
+        Whether the shot stopped changing, within the tolerance or within the noise.
     agreed : bool
-        Whether ``residual`` is within the tolerance asked.
+        Whether it is at rest and ``residual`` is within what was asked.
     growth : float
-        Factor by which the response grew over the last window.
+        Factor by which the response grew over the last window; noisy: over the second half.
     """
 
     v: np.ndarray
     i: np.ndarray
     residual: float
     window: int
+    at_rest: bool
     agreed: bool
     growth: float
 
@@ -62,9 +74,55 @@ def first_agreement(v: np.ndarray, i: np.ndarray, tolerance: float) -> Settled:
         residual = float(np.max([_change(v[k - 1], v[k]), _change(i[k - 1], i[k])]))  # NaN if either is
         if residual <= tolerance or not np.isfinite(residual):
             break
-    before = float(np.linalg.norm(i[k - 1]))
-    growth = float(np.linalg.norm(i[k])) / before if before else 1.0
-    return Settled(v[k], i[k], residual, k, residual <= tolerance, growth)
+    agreed = residual <= tolerance
+    return Settled(v[k : k + 1], i[k : k + 1], residual, k, agreed, agreed, _growth(i[k - 1], i[k]))
+
+
+def steady_mean(v: np.ndarray, i: np.ndarray, uncertainty: float) -> Settled:
+    """The windows of a noisy shot since it is at rest, and how well their mean is known.
+
+    The first window is never believed. Of the others as few are left out as it takes for the two halves
+    of the rest to have one mean.
+
+    Parameters
+    ----------
+    v, i : (n_windows, 2) complex
+        Phasors of the perturbation alone (V, A), more than `NOISY_WINDOWS`.
+    uncertainty : float
+        Relative standard error asked of the mean.
+    """
+    x = np.concatenate([v / np.linalg.norm(v[1:].mean(axis=0)), i / np.linalg.norm(i[1:].mean(axis=0))], axis=1)
+    n = len(x)
+    first, error, at_rest = n - NOISY_WINDOWS, np.inf, False
+    for first in range(1, n - NOISY_WINDOWS + 1):
+        error, difference = _scatter(x[first:])
+        at_rest = difference <= STEADY_LIMIT * error
+        if at_rest:
+            break
+    middle = (first + n) // 2
+    growth = _growth(i[first:middle].mean(axis=0), i[middle:].mean(axis=0))
+    return Settled(v[first:], i[first:], error, n - 1, at_rest, bool(at_rest and error <= uncertainty), growth)
+
+
+def trend(x: np.ndarray) -> float:
+    """Slope of a complex sequence (n,) in standard errors; 0 for one that does not change at all."""
+    t = np.arange(len(x)) - 0.5 * (len(x) - 1)
+    slope = np.sum(t * x) / np.sum(t**2)
+    rest = x - x.mean() - slope * t
+    error = np.sqrt(np.sum(np.abs(rest) ** 2) / (len(x) - 2) / np.sum(t**2))
+    return float(np.abs(slope) / error) if slope else 0.0
+
+
+def _scatter(x: np.ndarray) -> tuple[float, float]:
+    """Standard error of the mean of rows (n, m), and half the distance between the means of its two halves."""
+    n, middle = len(x), len(x) // 2
+    error = np.sqrt(np.sum(np.abs(x - x.mean(axis=0)) ** 2) / (n - 1) / n)
+    return float(error), 0.5 * float(np.linalg.norm(x[:middle].mean(axis=0) - x[middle:].mean(axis=0)))
+
+
+def _growth(before: np.ndarray, after: np.ndarray) -> float:
+    size = float(np.linalg.norm(before))
+    return float(np.linalg.norm(after)) / size if size else 1.0
 
 
 def _change(before: np.ndarray, after: np.ndarray) -> float:

@@ -70,6 +70,12 @@ def propagate(v: np.ndarray, noise: np.ndarray, phi1: float) -> np.ndarray:
     return real_covariance(np.einsum("eac,eb,ed->abcd", each, w, w.conj()).reshape(4, 4))
 
 
+def propagate_common(v: np.ndarray, noise: np.ndarray, phi1: float) -> np.ndarray:
+    """As `propagate`, for an error ``noise`` (2, 2) that both experiments share: what was subtracted from both."""
+    w = np.linalg.inv(components(v, phi1)).sum(axis=0)
+    return real_covariance(np.einsum("ac,b,d->abcd", noise, w, w.conj()).reshape(4, 4))
+
+
 def real_covariance(gamma: np.ndarray) -> np.ndarray:
     """Real covariance (..., 2n, 2n) over (re, im) of a circular complex one (..., n, n), E[z z^H]."""
     n = gamma.shape[-1]

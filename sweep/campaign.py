@@ -15,14 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..identify.response import FrequencyResponse
-from ..identify.table import QUALITY, write_table
+from ..identify.table import QUALITY, unpack_covariance, write_table
 from ..plant.protocol import Plant
 from ..plant.registry import releases_gil
 from . import shards
 from .grid import Frequency
 from .isolate import children, die_with_parent
-from .measure import BatchResult, Row, measure
+from .linearity import judged
+from .measure import measure
 from .plan import Batch, Condition, Plan
+from .rows import BatchResult, Row
 
 Report = Callable[[int, int, float], None]
 """Called with (points done, points in all, share of the work done) whenever a batch is kept."""
@@ -240,7 +242,10 @@ def _responses(
     plan: Plan, by_condition: dict[str, list[Batch]], folder: Path, statuses: dict[str, int]
 ) -> Iterator[FrequencyResponse]:
     for op_id, batches in by_condition.items():
-        rows = sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz)
+        rows = judged(
+            sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz),
+            plan.nonlinear_above,
+        )
         for row in rows:
             statuses[row.status] = statuses.get(row.status, 0) + 1
         yield response_of(plan, op_id, rows)
@@ -260,6 +265,7 @@ def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyRespons
         f_hz=np.array([row.f_hz for row in rows]),
         y=(parts[:, 0::2] + 1j * parts[:, 1::2]).reshape(-1, 2, 2),
         f1_hz=plan.f1_hz,
+        covariance=unpack_covariance(np.array([row.cov for row in rows])),
         status=np.array([row.status for row in rows]),
         reason=np.array([row.reason for row in rows]),
         quality={name: np.array([getattr(row, name) for row in rows]) for name in QUALITY},

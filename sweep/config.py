@@ -110,6 +110,15 @@ class SweepSection(_Section):
     tolerance: Annotated[Positive, Field(lt=1)] = Field(
         default=1e-5, description="a number between 0 and 1, the agreement asked of successive windows"
     )
+    uncertainty: Annotated[Positive, Field(lt=1)] = Field(
+        default=0.003, description="a number between 0 and 1, the relative standard error asked where a plant is noisy"
+    )
+    probes: Annotated[int, Field(ge=0, le=MAX_POINTS)] | None = Field(
+        default=None, description="a whole number of at least 0, the rows that are swept at half the amplitude as well"
+    )
+    nonlinear_above: Positive = Field(
+        default=0.005, description="a number above 0, the relative change of Y with the amplitude that is accepted"
+    )
     max_simulated_s: Positive = Field(default=60.0, description="a number above 0, in s, the limit of one shot")
 
 

@@ -23,6 +23,7 @@ from ..tuning.siso import Grid
 from ..tuning.stability import bode_crossings, critical_crossing, swept_band
 from .campaign import response_of
 from .config import Config
+from .linearity import judged
 from .measure import measure
 from .plan import make_plan
 
@@ -155,4 +156,4 @@ def sweep_with_damping(
     with ThreadPoolExecutor(jobs) as pool:
         results = list(pool.map(lambda batch: measure(plant, plan, batch), plan.batches()))
     rows = sorted((row for each in results for row in each.rows), key=lambda row: row.f_hz)
-    return response_of(plan, op_id, rows)
+    return response_of(plan, op_id, judged(rows, plan.nonlinear_above))

@@ -18,8 +18,9 @@ from dataclasses import replace
 from multiprocessing.connection import Connection, Pipe
 from typing import IO
 
-from .measure import BatchResult, failed_batch, measure
+from .measure import measure
 from .plan import Batch, Plan
+from .rows import BatchResult, failed_batch
 
 DEFAULT_TIMEOUT_S = 60.0
 """Wall time (s) that one shot may take, where the campaign does not say."""

@@ -7,10 +7,12 @@ on disk; which points share a batch follows from the plan alone, never from how 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 from ..identify.table import content_hash
 from ..plant.protocol import (
@@ -27,7 +29,7 @@ from ..plant.registry import PlantSpec, fingerprint, is_built_in
 from .config import Config, OperatingPointSection
 from .grid import Block, Frequency, coherent_block, generated, listed
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 """Part of every hash: raise it when the same shot gives another number."""
 
 EXPECTED_WINDOWS = 3.0
@@ -40,6 +42,14 @@ ALIKE = 0.6
 
 TOGETHER = 4
 """Points whose eight shots fill the lanes of a compiled plant."""
+
+ROWS_PER_PROBE = 14
+"""One row in so many is swept at half the amplitude as well, to see whether the device is linear."""
+
+MIN_PROBES = 2
+
+PROBE_AMPLITUDE = 0.5
+"""Amplitude of a probe, in parts of the sweep's."""
 
 
 class PlanError(ValueError):
@@ -133,7 +143,9 @@ class Plan:
         How it is perturbed.
     amplitude : float
         Peak of a tone (V or A).
-    amplitude_pu, tolerance, max_simulated_s : float
+    probes : frozenset of float
+        Frequencies (Hz) of the points that are swept at `PROBE_AMPLITUDE` as well.
+    amplitude_pu, tolerance, uncertainty, nonlinear_above, max_simulated_s : float
         From the configuration.
     batch_points : int
         Points of a batch.
@@ -157,8 +169,11 @@ class Plan:
     source: Source
     kind: InjectionKind
     amplitude: float
+    probes: frozenset[float]
     amplitude_pu: float
     tolerance: float
+    uncertainty: float
+    nonlinear_above: float
     max_simulated_s: float
     batch_points: int
     isolate: bool
@@ -172,11 +187,15 @@ class Plan:
             for point in self.points:
                 yield from self.shots_of(condition, point)
 
-    def shots_of(self, condition: Condition, point: Frequency) -> tuple[Shot, Shot]:
-        """The two experiments of one point: at f, and at the mirror 2 f1 - f."""
-        f, mirror = point.f_hz, 2.0 * self.f1_hz - point.f_hz
-        direct, mirrored = (Shot(condition.op_id, f, at, self.amplitude, point.window_blocks) for at in (f, mirror))
-        return direct, mirrored
+    def shots_of(self, condition: Condition, point: Frequency) -> tuple[Shot, ...]:
+        """The experiments of one point, in pairs: at f and at the mirror 2 f1 - f. A probe has a second pair."""
+        f = point.f_hz
+        amplitudes = (1.0, PROBE_AMPLITUDE) if f in self.probes else (1.0,)
+        return tuple(
+            Shot(condition.op_id, f, at, part * self.amplitude, point.window_blocks)
+            for part in amplitudes
+            for at in (f, 2.0 * self.f1_hz - f)
+        )
 
     def injection(self, shot: Shot) -> Injection:
         """The perturbation of a shot."""
@@ -185,12 +204,12 @@ class Plan:
     @cached_property
     def n_shots(self) -> int:
         """Number of experiments."""
-        return 2 * len(self.conditions) * len(self.points)
+        return 2 * len(self.conditions) * (len(self.points) + len(self.probes))
 
     @cached_property
     def simulated_s(self) -> float:
         """Simulated seconds to expect."""
-        blocks = sum(point.window_blocks for point in self.points)
+        blocks = sum(point.window_blocks * (1 + (point.f_hz in self.probes)) for point in self.points)
         return 2 * len(self.conditions) * EXPECTED_WINDOWS * blocks * self.block.duration_s
 
     def batches(self) -> Iterator[Batch]:
@@ -208,6 +227,7 @@ class Plan:
                 "source": asdict(self.source),
                 "kind": self.kind,
                 "tolerance": self.tolerance,
+                "uncertainty": self.uncertainty,
                 "max_simulated_s": self.max_simulated_s,
                 "isolate": self.isolate,
                 "timeout_s": self.timeout_s,
@@ -250,8 +270,11 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         source=source,
         kind=config.injection.kind,
         amplitude=config.injection.amplitude_pu * peak,
+        probes=frozenset(_probes(points, config.sweep.probes)),
         amplitude_pu=config.injection.amplitude_pu,
         tolerance=config.sweep.tolerance,
+        uncertainty=config.sweep.uncertainty,
+        nonlinear_above=config.sweep.nonlinear_above,
         max_simulated_s=config.sweep.max_simulated_s,
         batch_points=_batch_points(len(points), len(conditions), plant),
         isolate=not is_built_in(spec.id) if config.plant.isolate is None else config.plant.isolate,
@@ -271,6 +294,13 @@ def _points(config: Config, plant: Plant) -> tuple[list[Frequency], list[str]]:
     points = generated(sweep.f_min_hz, sweep.f_max_hz, sweep.points, sweep.spacing, plant.f1_hz, plant.dt_s)
     fewer = f"the grid has {len(points)} points instead of {sweep.points}: neighbours met when they were snapped"
     return points, [fewer] if len(points) < sweep.points else []
+
+
+def _probes(points: Sequence[Frequency], wanted: int | None) -> list[float]:
+    """Frequencies (Hz) of the rows to probe: spread evenly over the rows, the ends among them."""
+    n = max(MIN_PROBES, round(len(points) / ROWS_PER_PROBE)) if wanted is None else wanted
+    at = np.unique(np.linspace(0, len(points) - 1, min(n, len(points))).round().astype(int))
+    return [points[k].f_hz for k in at]
 
 
 def _condition(section: OperatingPointSection, plant: Plant) -> Condition:

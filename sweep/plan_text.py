@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ..plant.protocol import NotSettled, Plant
 from .estimate import wall_time_s
-from .plan import Plan
+from .plan import PROBE_AMPLITUDE, Plan
 
 CONDITIONS_SHOWN = 12
 
@@ -20,9 +20,10 @@ def _shots(plan: Plan) -> Iterator[str]:
     yield "every operating point gets these shots, two a point:"
     yield f"{'f (Hz)':>12} {'injected at (Hz)':>28} {'periods':>8} {'window (s)':>11}"
     for point in plan.points:
-        injected = ", ".join(f"{shot.injected_hz:+.6g}" for shot in plan.shots_of(plan.conditions[0], point))
+        injected = ", ".join(f"{shot.injected_hz:+.6g}" for shot in plan.shots_of(plan.conditions[0], point)[:2])
         window_s = point.window_blocks * plan.block.duration_s
-        yield f"{point.f_hz:>12.6f} {injected:>28} {point.n_periods:>8} {window_s:>11.3g}"
+        probed = "  at half amplitude, too" if point.f_hz in plan.probes else ""
+        yield f"{point.f_hz:>12.6f} {injected:>28} {point.n_periods:>8} {window_s:>11.3g}{probed}"
 
 
 def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
@@ -38,6 +39,8 @@ def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
 def _totals(plan: Plan, plant: Plant, jobs: int) -> Iterator[str]:
     unit = "V" if plan.kind == "series_voltage" else "A"
     yield f"{plan.n_shots} shots of {plan.amplitude:.4g} {unit} peak ({plan.amplitude_pu:g} pu), {plan.kind}"
+    if plan.probes:
+        yield f"of these, {2 * len(plan.probes) * len(plan.conditions)} at {PROBE_AMPLITUDE:g} of that, for linearity"
     yield f"about {plan.simulated_s:.4g} simulated s, step {plan.dt_s * 1e6:.4g} us"
     try:
         yield f"about {wall_time_s(plan, plant, jobs):.2g} s with {jobs} worker{'s' if jobs > 1 else ''}"

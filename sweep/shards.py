@@ -15,9 +15,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from math import isnan, nan
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from .measure import BatchResult, Row
+from .rows import BatchResult, Row
 
 
 class OutputInUse(OSError):
@@ -114,12 +114,11 @@ def _checksum(key: str, text: str) -> str:
 def _plain(row: Row) -> dict[str, object]:
     """JSON has no NaN: null stands for it."""
     values = asdict(row)
-    values["y"] = [None if isnan(x) else x for x in row.y]
+    for name in ("y", "cov"):
+        values[name] = [None if isnan(x) else x for x in getattr(row, name)]
     return {name: None if isinstance(x, float) and isnan(x) else x for name, x in values.items()}
 
 
-def _row(values: dict[str, object]) -> Row:
-    y = values.pop("y")
-    assert isinstance(y, list)
-    plain = {name: nan if x is None else x for name, x in values.items()}
-    return Row(**plain, y=tuple(nan if x is None else x for x in y))  # type: ignore[arg-type]
+def _row(values: dict[str, Any]) -> Row:
+    numbers = {name: tuple(nan if x is None else x for x in values.pop(name)) for name in ("y", "cov")}
+    return Row(**{name: nan if x is None else x for name, x in values.items()}, **numbers)

@@ -9,6 +9,7 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.dpmsg import ReferenceTurbine
@@ -152,3 +153,36 @@ class UnwillingBranch(RLBranch):
 
     def settle(self, operating_point, source):
         raise RuntimeError("no licence server found")
+
+
+class NoisyBranch(RLBranch):
+    """The branch, measured with coloured noise: ``level`` is its rms over the peak of a rated waveform.
+
+    A pole at ``corner_hz`` colours it; the same job hears the same noise, another job another.
+    """
+
+    run_phasors = None
+
+    def __init__(self, level: float = 1e-3, corner_hz: float = 300.0, seed: int = 0):
+        super().__init__()
+        self.level, self.pole, self.seed = level, float(np.exp(-2.0 * np.pi * corner_hz * self.dt_s)), seed
+
+    def run(self, jobs, n_steps):
+        return [
+            (end, self.heard(job, record)) for job, (end, record) in zip(jobs, super().run(jobs, n_steps), strict=True)
+        ]
+
+    def heard(self, job, record):
+        tones = job.injection.tones if job.injection else ()
+        key = [self.seed, job.state.step, *(abs(hash((tone.f_hz, tone.amplitude, tone.phase_rad))) for tone in tones)]
+        rng = np.random.default_rng(key)
+        v, i = (x + size * self.noise(rng, len(x)) for x, size in self.sizes(record))
+        return Record(record.t0_s, record.dt_s, v, i, record.f1_hz)
+
+    def sizes(self, record):
+        return (record.v, self.rating.peak_voltage_v), (record.i, self.rating.peak_current_a)
+
+    def noise(self, rng, n):
+        white = rng.normal(size=(n + 2000, 2)) @ [1.0, 1j]
+        colour = lfilter([np.sqrt(0.5 * (1.0 - self.pole**2))], [1.0, -self.pole], white)
+        return self.level * colour[2000:]

@@ -149,7 +149,7 @@ def test_from_init_to_show_as_the_help_says(tmp_path):
     fewer = ["--set", "sweep.points=12"]
     planned = call("plan", path, *fewer)
     assert planned.returncode == OK
-    assert "24 shots of 0.2817 V peak (0.0005 pu), series_voltage" in planned.stdout
+    assert "28 shots of 0.2817 V peak (0.0005 pu), series_voltage" in planned.stdout
     assert listing(tmp_path) == ["campaign.toml"]
     ran = call("run", path, "-o", table, *fewer)
     assert (ran.returncode, ran.stdout) == (OK, "")

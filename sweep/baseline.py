@@ -1,0 +1,142 @@
+"""The unperturbed device: settled, certified periodic, and, where it is noisy, how noisy.
+
+A device is quiet if its waveforms repeat to 1e-6 of their peak. One that does not may drift, and then there is nothing
+to branch from, or it may be noisy: measurement noise, a ripple that is not synchronous, a limit cycle. The two are told
+apart by the fundamental, block after block: noise scatters about a mean, a drift has a trend.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..identify.fourier import harmonics, line
+from ..identify.quality import SETTLED_LIMIT, period_change, trend
+from ..plant.protocol import Job, Plant, Record
+from .grid import Block
+from .loadflow import reached
+from .plan import Batch, Plan
+
+QUIET_BLOCKS = 2
+"""Blocks of a quiet baseline: one to keep, one to compare it with."""
+
+NOISY_BLOCKS = 48
+"""Blocks over which the waveform of a noisy device is averaged."""
+
+TREND_LIMIT = 6.0
+"""A trend of so many standard errors is a drift: noise shows one in 1e8 cases."""
+
+NOISE_LIMIT = 0.5
+"""Beyond this scatter, relative to the peak, there is no waveform left to speak of."""
+
+
+class PlantFault(Exception):
+    """The plant broke its promise; the message says how."""
+
+
+class Baseline(NamedTuple):
+    """The unperturbed branch: one block, as phasors at its harmonics.
+
+    Attributes
+    ----------
+    state : State
+        Where every shot branches from.
+    v, i : (n,) complex
+        `harmonics` of one block, the mean of all blocks heard.
+    v_variance, i_variance : (n,) float
+        Variance of those means (V^2, A^2); zero where the device is quiet.
+    t0_s : float
+        Time of that state (s).
+    phi1 : float
+        Angle of the fundamental voltage at time zero (rad).
+    change : float
+        Change over one block, relative to the peak.
+    noisy : bool
+        Whether it changes by more than a quiet device does.
+    terminal_voltage_v : float
+        |v_pcc|, line-to-line RMS (V).
+    """
+
+    state: Any
+    v: np.ndarray
+    i: np.ndarray
+    v_variance: np.ndarray
+    i_variance: np.ndarray
+    t0_s: float
+    phi1: float
+    change: float
+    noisy: bool
+    terminal_voltage_v: float
+
+
+class Unsettled(Exception):
+    """The device drifts; the message is the reason of its rows."""
+
+
+def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
+    """Settle the operating point of ``batch`` and listen to it unperturbed.
+
+    Raises
+    ------
+    NotSettled
+        If the plant finds no steady state.
+    Unsettled
+        If what it calls steady drifts.
+    """
+    source, point = reached(plant, plan.source, batch.condition)
+    state = plant.settle(point, source)
+    steps = plan.block.steps
+    ((_, record),) = run(plant, [Job(state, None)], QUIET_BLOCKS * steps)
+    change = max(period_change(record.v), period_change(record.i))
+    noisy = not change <= SETTLED_LIMIT
+    if noisy:
+        ((_, record),) = run(plant, [Job(state, None)], NOISY_BLOCKS * steps)
+        _refuse_drift(record, plan.block, change)
+    v, i = (x[: len(x) if noisy else steps].reshape(-1, steps) for x in (record.v, record.i))
+    fundamental = line(v.mean(axis=0), plan.f1_hz, record.t0_s, plan.dt_s)
+    return Baseline(
+        state=state,
+        v=harmonics(v.mean(axis=0), record.t0_s, plan.dt_s),
+        i=harmonics(i.mean(axis=0), record.t0_s, plan.dt_s),
+        v_variance=_variance_of_mean(v),
+        i_variance=_variance_of_mean(i),
+        t0_s=record.t0_s,
+        phi1=float(np.angle(fundamental)),
+        change=change,
+        noisy=noisy,
+        terminal_voltage_v=abs(fundamental) * 1.5**0.5,
+    )
+
+
+def _refuse_drift(record: Record, block: Block, change: float) -> None:
+    for x in (record.v, record.i):
+        blocks = x.reshape(-1, block.steps)
+        scatter = np.sqrt(np.mean(np.abs(blocks - blocks.mean(axis=0)) ** 2))
+        drifts = not trend(np.fft.fft(blocks, axis=1)[:, block.periods]) <= TREND_LIMIT
+        if drifts or not scatter <= NOISE_LIMIT * np.max(np.abs(x)):
+            raise Unsettled(
+                f"unperturbed waveforms change by {change:.2g} of their peak over one period; {SETTLED_LIMIT:g} is "
+                "needed, or noise about a steady mean"
+            )
+
+
+def _variance_of_mean(blocks: np.ndarray) -> np.ndarray:
+    """Variance (steps,) of the mean of the harmonics of ``blocks`` (n, steps); zero for a single block."""
+    n, steps = blocks.shape
+    if n == 1:
+        return np.zeros(steps)
+    return np.var(np.fft.fft(blocks, axis=1) / steps, axis=0, ddof=1) / n
+
+
+def run(plant: Plant, jobs: list[Job], n_steps: int) -> list[tuple[Any, Record]]:
+    """`Plant.run`, held to its promise of as many samples as asked."""
+    answers = plant.run(jobs, n_steps)
+    if len(answers) != len(jobs):
+        raise PlantFault(f"run gave {len(answers)} answers to {len(jobs)} jobs")
+    for _, record in answers:
+        if len(record.v) != n_steps or len(record.i) != n_steps:
+            raise PlantFault(f"run gave {len(record.v)} and {len(record.i)} samples of v and i; {n_steps} were asked")
+        if abs(record.f1_hz - plant.f1_hz) > 1e-9 * plant.f1_hz or abs(record.dt_s - plant.dt_s) > 1e-9 * plant.dt_s:
+            raise PlantFault("a record's f1_hz or dt_s is not that of the plant")
+    return answers

@@ -1,0 +1,93 @@
+"""What a batch gives: rows of the table without their operating point, and what was seen on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import nan
+
+import numpy as np
+
+from ..identify.table import N_COV, pack_covariance
+from .grid import Frequency
+from .plan import Batch, Plan
+
+UNKNOWN = (nan,) * N_COV
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of the table, but for its operating point.
+
+    Attributes
+    ----------
+    f_hz : float
+        Frequency (Hz).
+    y : tuple of 8 float
+        Re, im of pp, pn, np, nn (S); NaN where there is nothing to show.
+    cov : tuple of 36 float
+        Upper triangle of their covariance (S^2); NaN where unknown.
+    status, reason : str
+        As in the table.
+    amplitude_pu, n_periods, window_s, cond_v, linearity, residual : float
+        As in the table.
+    """
+
+    f_hz: float
+    y: tuple[float, ...]
+    cov: tuple[float, ...]
+    status: str
+    reason: str
+    amplitude_pu: float
+    n_periods: float
+    window_s: float
+    cond_v: float
+    linearity: float
+    residual: float
+
+    @property
+    def admittance(self) -> np.ndarray:
+        """``y`` as (2, 2) complex (S)."""
+        parts = np.array(self.y)
+        return (parts[0::2] + 1j * parts[1::2]).reshape(2, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """Rows of a batch and what was seen of its operating point (`settle_residual`, |v_pcc|)."""
+
+    rows: tuple[Row, ...]
+    condition: dict[str, float]
+
+
+def blank_row(plan: Plan, point: Frequency, status: str, reason: str) -> Row:
+    """A row without a result: what was asked stands, what was measured is NaN."""
+    return Row(
+        f_hz=point.f_hz,
+        y=(nan,) * 8,
+        cov=UNKNOWN,
+        status=status,
+        reason=reason,
+        amplitude_pu=plan.amplitude_pu,
+        n_periods=float(point.n_periods),
+        window_s=point.window_blocks * plan.block.duration_s,
+        cond_v=nan,
+        linearity=nan,
+        residual=nan,
+    )
+
+
+def with_admittance(row: Row, y: np.ndarray, covariance: np.ndarray) -> Row:
+    """The row with its result: ``y`` (2, 2) in S and ``covariance`` (8, 8) in S^2."""
+    elements = tuple(part for element in y.ravel() for part in (float(element.real), float(element.imag)))
+    return replace(row, y=elements, cov=tuple(pack_covariance(covariance[None])[0].tolist()))
+
+
+def failed_batch(plan: Plan, batch: Batch, status: str, reason: str) -> BatchResult:
+    """Every point of ``batch`` as a row of ``status`` with the same reason."""
+    return BatchResult(tuple(blank_row(plan, point, status, reason) for point in batch.points), {})
+
+
+def in_words(error: Exception) -> str:
+    """What a plant raised, as a reason."""
+    text = " ".join(str(error).split()) or "no message"
+    return f"{type(error).__name__}: {text}"[:300]
