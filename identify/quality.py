@@ -18,6 +18,9 @@ SETTLED_LIMIT = 1e-6
 STEADY_LIMIT = 4.0
 """Standard errors by which the two halves of a noisy shot may differ; beyond, it is not at rest yet."""
 
+BEST = 1.5
+"""Windows are kept while that costs no more than this factor in the standard error of their mean."""
+
 NOISY_WINDOWS = 6
 """Fewest windows from which the scatter of a noisy shot is taken."""
 
@@ -81,8 +84,8 @@ def first_agreement(v: np.ndarray, i: np.ndarray, tolerance: float) -> Settled:
 def steady_mean(v: np.ndarray, i: np.ndarray, uncertainty: float) -> Settled:
     """The windows of a noisy shot since it is at rest, and how well their mean is known.
 
-    The first window is never believed. Of the others as few are left out as it takes for the two halves
-    of the rest to have one mean.
+    The first window is never believed. Of the others as few are left out as it takes for the rest to be
+    known nearly as well as any such rest; it is steady if its two halves have one mean.
 
     Parameters
     ----------
@@ -93,31 +96,34 @@ def steady_mean(v: np.ndarray, i: np.ndarray, uncertainty: float) -> Settled:
     """
     x = np.concatenate([v / np.linalg.norm(v[1:].mean(axis=0)), i / np.linalg.norm(i[1:].mean(axis=0))], axis=1)
     n = len(x)
-    first, error, at_rest = n - NOISY_WINDOWS, np.inf, False
-    for first in range(1, n - NOISY_WINDOWS + 1):
-        error, difference = _scatter(x[first:])
-        at_rest = difference <= STEADY_LIMIT * error
-        if at_rest:
-            break
+    errors = np.array([_error_of_mean(x[first:]) for first in range(1, n - NOISY_WINDOWS + 1)])
+    first = 1 + int(np.argmax(errors <= BEST * np.min(errors)))
+    error, at_rest = float(errors[first - 1]), _halves_apart(x[first:]) <= STEADY_LIMIT
     middle = (first + n) // 2
     growth = _growth(i[first:middle].mean(axis=0), i[middle:].mean(axis=0))
     return Settled(v[first:], i[first:], error, n - 1, at_rest, bool(at_rest and error <= uncertainty), growth)
 
 
-def trend(x: np.ndarray) -> float:
-    """Slope of a complex sequence (n,) in standard errors; 0 for one that does not change at all."""
+def trend(x: np.ndarray) -> tuple[float, float]:
+    """How far a straight line through a complex sequence (n,) goes, and that in its standard errors."""
     t = np.arange(len(x)) - 0.5 * (len(x) - 1)
     slope = np.sum(t * x) / np.sum(t**2)
     rest = x - x.mean() - slope * t
     error = np.sqrt(np.sum(np.abs(rest) ** 2) / (len(x) - 2) / np.sum(t**2))
-    return float(np.abs(slope) / error) if slope else 0.0
+    return float(np.abs(slope) * (len(x) - 1)), float(np.abs(slope) / error) if error else np.inf
 
 
-def _scatter(x: np.ndarray) -> tuple[float, float]:
-    """Standard error of the mean of rows (n, m), and half the distance between the means of its two halves."""
+def _error_of_mean(x: np.ndarray) -> float:
+    """Standard error of the mean of rows (n, m)."""
+    return float(np.linalg.norm(x - x.mean(axis=0)) / np.sqrt((len(x) - 1) * len(x)))
+
+
+def _halves_apart(x: np.ndarray) -> float:
+    """How far the means of the two halves of rows (n, m) lie apart, in standard errors by successive differences."""
     n, middle = len(x), len(x) // 2
-    error = np.sqrt(np.sum(np.abs(x - x.mean(axis=0)) ** 2) / (n - 1) / n)
-    return float(error), 0.5 * float(np.linalg.norm(x[:middle].mean(axis=0) - x[middle:].mean(axis=0)))
+    error = np.linalg.norm(np.diff(x, axis=0)) / np.sqrt(2.0 * (n - 1)) * np.sqrt(1.0 / middle + 1.0 / (n - middle))
+    apart = np.linalg.norm(x[:middle].mean(axis=0) - x[middle:].mean(axis=0))
+    return float(apart / error) if error else 0.0
 
 
 def _growth(before: np.ndarray, after: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.fourier import harmonics, line
+from ..identify.fourier import harmonics, line, taper
 from ..identify.quality import SETTLED_LIMIT, period_change, trend
 from ..plant.protocol import Job, Plant, Record
 from .grid import Block
@@ -93,14 +93,14 @@ def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
     if noisy:
         ((_, record),) = run(plant, [Job(state, None)], NOISY_BLOCKS * steps)
         _refuse_drift(record, plan.block, change)
-    v, i = (x[: len(x) if noisy else steps].reshape(-1, steps) for x in (record.v, record.i))
-    fundamental = line(v.mean(axis=0), plan.f1_hz, record.t0_s, plan.dt_s)
+    v, i = (_mean_block(x, steps) if noisy else x[:steps] for x in (record.v, record.i))
+    fundamental = line(v, plan.f1_hz, record.t0_s, plan.dt_s)
     return Baseline(
         state=state,
-        v=harmonics(v.mean(axis=0), record.t0_s, plan.dt_s),
-        i=harmonics(i.mean(axis=0), record.t0_s, plan.dt_s),
-        v_variance=_variance_of_mean(v),
-        i_variance=_variance_of_mean(i),
+        v=harmonics(v, record.t0_s, plan.dt_s),
+        i=harmonics(i, record.t0_s, plan.dt_s),
+        v_variance=_variance(record.v, steps) if noisy else np.zeros(steps),
+        i_variance=_variance(record.i, steps) if noisy else np.zeros(steps),
         t0_s=record.t0_s,
         phi1=float(np.angle(fundamental)),
         change=change,
@@ -113,7 +113,9 @@ def _refuse_drift(record: Record, block: Block, change: float) -> None:
     for x in (record.v, record.i):
         blocks = x.reshape(-1, block.steps)
         scatter = np.sqrt(np.mean(np.abs(blocks - blocks.mean(axis=0)) ** 2))
-        drifts = not trend(np.fft.fft(blocks, axis=1)[:, block.periods]) <= TREND_LIMIT
+        fundamental = np.fft.fft(blocks, axis=1)[:, block.periods]
+        moved, in_errors = trend(fundamental)
+        drifts = moved > SETTLED_LIMIT * np.abs(fundamental.mean()) and in_errors > TREND_LIMIT
         if drifts or not scatter <= NOISE_LIMIT * np.max(np.abs(x)):
             raise Unsettled(
                 f"unperturbed waveforms change by {change:.2g} of their peak over one period; {SETTLED_LIMIT:g} is "
@@ -121,12 +123,15 @@ def _refuse_drift(record: Record, block: Block, change: float) -> None:
             )
 
 
-def _variance_of_mean(blocks: np.ndarray) -> np.ndarray:
-    """Variance (steps,) of the mean of the harmonics of ``blocks`` (n, steps); zero for a single block."""
-    n, steps = blocks.shape
-    if n == 1:
-        return np.zeros(steps)
-    return np.var(np.fft.fft(blocks, axis=1) / steps, axis=0, ddof=1) / n
+def _mean_block(x: np.ndarray, steps: int) -> np.ndarray:
+    """Mean (steps,) of the blocks of ``x``, tapered: what is not synchronous with them hardly leaks in."""
+    return (taper(len(x)) * x).reshape(-1, steps).mean(axis=0)
+
+
+def _variance(x: np.ndarray, steps: int) -> np.ndarray:
+    """Variance (steps,) of the harmonics of `_mean_block`, from the scatter of the blocks."""
+    blocks = np.fft.fft(x.reshape(-1, steps), axis=1) / steps
+    return np.var(blocks, axis=0, ddof=1) * np.mean(taper(len(x)) ** 2) / len(blocks)
 
 
 def run(plant: Plant, jobs: list[Job], n_steps: int) -> list[tuple[Any, Record]]:

@@ -27,7 +27,6 @@ PROBLEMS_SHOWN = 20
 
 _PLANNED: dict[Keys, tuple[str, ...]] = {
     ("sweep", "spacing"): ("adaptive",),
-    ("injection", "signal"): ("multisine", "prbs", "qrb", "chirp"),
     ("injection", "amplitude_pu"): ("auto",),
 }
 
@@ -128,7 +127,10 @@ class InjectionSection(_Section):
     kind: Literal["series_voltage", "shunt_current"] = Field(
         default="series_voltage", description='"series_voltage" or "shunt_current"'
     )
-    signal: Literal["tone"] = Field(default="tone", description='"tone"')
+    signal: Literal["tone", "multisine", "prbs", "qrb", "chirp"] = Field(
+        default="tone", description='"tone", "multisine", "prbs", "qrb" or "chirp"'
+    )
+    period_s: Positive = Field(default=1.0, description="a number above 0, in s, the period of a broadband signal")
     amplitude_pu: Annotated[Positive, Field(le=MAX_AMPLITUDE_PU)] = Field(
         default=0.0005, description=f"a number above 0 and at most {MAX_AMPLITUDE_PU:g}, in pu (peak over rated peak)"
     )

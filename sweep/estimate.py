@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from math import ceil
+from typing import Any
 
 from ..plant.protocol import Job, PhasorPlant, Plant, Window
 from .loadflow import reached
-from .plan import EXPECTED_WINDOWS, Plan
+from .plan import EXPECTED_WINDOWS, Batch, Plan
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
@@ -21,8 +22,8 @@ START_S = 0.3
 def wall_time_s(plan: Plan, plant: Plant, jobs: int) -> float:
     """Expected wall time (s) of ``plan`` with ``jobs`` workers on this machine.
 
-    The plant is settled at the first operating point and run unperturbed for a few blocks; no shot
-    is fired. Windows are as many as the plan expects.
+    The plant is settled at the first operating point and run for a few blocks, unperturbed where a shot is a tone.
+    Windows are as many as the plan expects.
 
     Raises
     ------
@@ -31,16 +32,27 @@ def wall_time_s(plan: Plan, plant: Plant, jobs: int) -> float:
     """
     per_block_s, together = _cost_of_a_block(plan, plant)
     batches = list(plan.batches())
-    blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
-    runs = [ceil(2 * len(batch.points) / together) for batch in batches]
+    if plan.signal is not None:
+        blocks = [plan.simulated_s / plan.n_shots / plan.block.duration_s] * len(batches)
+        runs = [1] * len(batches)
+    else:
+        blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
+        runs = [ceil(_n_shots(plan, batch) / together) for batch in batches]
     work_s = [per_block_s * b * n + BATCH_OVERHEAD_S for b, n in zip(blocks, runs, strict=True)]
     return START_S + max(max(work_s), sum(work_s) / jobs)
+
+
+def _n_shots(plan: Plan, batch: Batch) -> int:
+    return sum(len(plan.shots_of(batch.condition, point)) for point in batch.points)
 
 
 def _cost_of_a_block(plan: Plan, plant: Plant) -> tuple[float, int]:
     """Seconds for one block of one run, and how many shots share a run."""
     source, point = reached(plant, plan.source, plan.conditions[0])
-    job = Job(plant.settle(point, source), None)
+    state = plant.settle(point, source)
+    if plan.signal is not None:
+        return _cost_of_plays(plan, plant, state), 1
+    job = Job(state, None)
     best = float("inf")
     for _ in range(3):
         begin = time.perf_counter()
@@ -52,3 +64,12 @@ def _cost_of_a_block(plan: Plan, plant: Plant) -> tuple[float, int]:
         if best > 1.0:
             break
     return best, PROBE_JOBS if isinstance(plant, PhasorPlant) else 1
+
+
+def _cost_of_plays(plan: Plan, plant: Plant, state: Any) -> float:
+    """Seconds for one block of the four plays together: their many tones cost more than the device."""
+    jobs = [Job(state, plan.play(play, 0.0)) for play in plan.plays_of(plan.conditions[0])]
+    plant.run(jobs, plan.block.steps)
+    begin = time.perf_counter()
+    plant.run(jobs, plan.block.steps)
+    return time.perf_counter() - begin

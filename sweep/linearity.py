@@ -13,7 +13,6 @@ from math import isfinite
 import numpy as np
 
 from ..identify.table import unpack_covariance
-from .plan import PROBE_AMPLITUDE
 from .rows import Row, with_admittance
 
 ERROR_PER_SPREAD = 4.0 / 3.0
@@ -75,8 +74,8 @@ def _judged(row: Row, linearity: float, limit: float) -> Row:
     if row.status != "ok" or linearity <= limit:
         return replace(row, linearity=linearity)
     reason = (
-        f"Y changes by {linearity:.2g} of its size between {row.amplitude_pu:g} and "
-        f"{PROBE_AMPLITUDE * row.amplitude_pu:g} pu; {limit:g} is allowed (sweep.nonlinear_above)"
+        f"the device is not linear at {row.amplitude_pu:g} pu: Y depends on the amplitude by {linearity:.2g} of its "
+        f"size, {limit:g} is allowed (sweep.nonlinear_above); take another injection.amplitude_pu"
     )
     return replace(row, linearity=linearity, status="nonlinear", reason=reason)
 

@@ -47,7 +47,7 @@ def odd_lines(wanted_nu_hz: np.ndarray, period_s: float, detection_group: int = 
     Parameters
     ----------
     wanted_nu_hz : (n,) float
-        f - f1 (Hz), strictly ascending; below 0 on the side below f1.
+        f - f1 (Hz), ascending; below 0 on the side below f1.
     period_s : float
         Period T (s): lines are 2/T apart.
     detection_group : int
@@ -61,8 +61,8 @@ def odd_lines(wanted_nu_hz: np.ndarray, period_s: float, detection_group: int = 
     wanted = np.asarray(wanted_nu_hz, dtype=float)
     if np.any(wanted == 0.0):
         raise SignalError("f1 itself is wanted: the perturbation cannot be told from the operating point there")
-    if not len(wanted) or np.any(np.diff(wanted) <= 0.0):
-        raise SignalError("the wanted points must be at least one, and ascend strictly")
+    if not len(wanted) or np.any(np.diff(wanted) < 0.0):
+        raise SignalError("the wanted points must be at least one, and ascend")
     usable = _usable(wanted[0] * period_s, wanted[-1] * period_s, detection_group)
     if len(usable) < len(wanted):
         raise SignalError(_too_few(wanted, usable, period_s))

@@ -17,6 +17,7 @@ from ..identify.quality import COND_LIMIT, Settled
 from ..identify.uncertainty import propagate, propagate_common, scatter, student_factor
 from ..plant.protocol import NotSettled, Plant
 from .baseline import Baseline, Unsettled, baseline
+from .broadband import drive_broadband
 from .drive import drive
 from .grid import Frequency
 from .linearity import compared
@@ -68,6 +69,10 @@ def _rows(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Row]:
 
 
 def _measured(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Row]:
+    if plan.signal is not None:
+        heard = drive_broadband(plant, plan, batch, base)
+        rows = [_row(plan, point, pair, base, plant) for point, pair in zip(batch.points, heard.pairs, strict=True)]
+        return [replace(row, linearity=float(x)) for row, x in zip(rows, heard.distortion, strict=True)]
     shots = [plan.shots_of(batch.condition, point) for point in batch.points]
     settled = iter(drive(plant, plan, base, [shot for of_point in shots for shot in of_point]))
     rows = []

@@ -28,6 +28,8 @@ from ..plant.protocol import (
 from ..plant.registry import PlantSpec, fingerprint, is_built_in
 from .config import Config, OperatingPointSection
 from .grid import Block, Frequency, coherent_block, generated, listed
+from .signal_choice import broadband
+from .signals import AXES, Axis, Signal, negated, tones
 
 RESULT_VERSION = 2
 """Part of every hash: raise it when the same shot gives another number."""
@@ -47,6 +49,9 @@ ROWS_PER_PROBE = 14
 """One row in so many is swept at half the amplitude as well, to see whether the device is linear."""
 
 MIN_PROBES = 2
+
+SETTLE_S = 0.5
+"""Simulated time (s) of a broadband signal before its first period that is listened to: fast modes die out in it."""
 
 PROBE_AMPLITUDE = 0.5
 """Amplitude of a probe, in parts of the sweep's."""
@@ -101,6 +106,28 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
+class Play:
+    """One experiment with a broadband signal.
+
+    Attributes
+    ----------
+    op_id : str
+        Operating point.
+    axis : "d" or "q"
+        Along which axis of the PCC voltage.
+    sign : 1 or -1
+        As it is, or turned over.
+    amplitude : float
+        Peak of the space vector (V or A, phase peak).
+    """
+
+    op_id: str
+    axis: Axis
+    sign: int
+    amplitude: float
+
+
+@dataclass(frozen=True, slots=True)
 class Batch:
     """Points of one operating point that are measured together.
 
@@ -141,8 +168,10 @@ class Plan:
         What feeds the PCC.
     kind : "series_voltage" or "shunt_current"
         How it is perturbed.
+    signal : Signal or None
+        What is played for all points at once; None: a tone for each.
     amplitude : float
-        Peak of a tone (V or A).
+        Peak of a tone, or of the signal (V or A).
     probes : frozenset of float
         Frequencies (Hz) of the points that are swept at `PROBE_AMPLITUDE` as well.
     amplitude_pu, tolerance, uncertainty, nonlinear_above, max_simulated_s : float
@@ -168,6 +197,7 @@ class Plan:
     conditions: tuple[Condition, ...]
     source: Source
     kind: InjectionKind
+    signal: Signal | None
     amplitude: float
     probes: frozenset[float]
     amplitude_pu: float
@@ -181,9 +211,12 @@ class Plan:
     configuration: Mapping[str, Any]
     warnings: tuple[str, ...] = field(default=())
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[Shot | Play]:
         """Every experiment, in campaign order."""
         for condition in self.conditions:
+            if self.signal is not None:
+                yield from self.plays_of(condition)
+                continue
             for point in self.points:
                 yield from self.shots_of(condition, point)
 
@@ -197,24 +230,38 @@ class Plan:
             for at in (f, 2.0 * self.f1_hz - f)
         )
 
+    def plays_of(self, condition: Condition) -> tuple[Play, ...]:
+        """The experiments of all points together: along d and along q, each with both signs."""
+        return tuple(Play(condition.op_id, axis, sign, self.amplitude) for axis in AXES for sign in (1, -1))
+
     def injection(self, shot: Shot) -> Injection:
         """The perturbation of a shot."""
         return Injection(self.kind, (Tone(shot.injected_hz, shot.amplitude),))
 
+    def play(self, play: Play, angle_rad: float) -> Injection:
+        """The perturbation of a play, where the PCC voltage stands at ``angle_rad`` at time zero."""
+        assert self.signal is not None
+        signal = self.signal if play.sign > 0 else negated(self.signal)
+        return Injection(self.kind, tones(signal, play.axis, self.f1_hz, play.amplitude, angle_rad))
+
     @cached_property
     def n_shots(self) -> int:
         """Number of experiments."""
+        if self.signal is not None:
+            return 4 * len(self.conditions)
         return 2 * len(self.conditions) * (len(self.points) + len(self.probes))
 
     @cached_property
     def simulated_s(self) -> float:
         """Simulated seconds to expect."""
+        if self.signal is not None:
+            return self.n_shots * (SETTLE_S + 2.0 * self.signal.period_s)
         blocks = sum(point.window_blocks * (1 + (point.f_hz in self.probes)) for point in self.points)
         return 2 * len(self.conditions) * EXPECTED_WINDOWS * blocks * self.block.duration_s
 
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
-        groups = _alike(self.points, self.batch_points)
+        groups = [self.points] if self.signal is not None else _alike(self.points, self.batch_points)
         for condition in self.conditions:
             for group in groups:
                 yield Batch(condition, group, self._key(condition, group))
@@ -233,9 +280,24 @@ class Plan:
                 "timeout_s": self.timeout_s,
                 "condition": asdict(condition),
                 "points": [asdict(point) for point in points],
-                "shots": [asdict(shot) for point in points for shot in self.shots_of(condition, point)],
+                "shots": [asdict(shot) for shot in self._shots_of_all(condition, points)],
+                "signal": None if self.signal is None else _signal_facts(self.signal),
             }
         )
+
+    def _shots_of_all(self, condition: Condition, points: tuple[Frequency, ...]) -> Iterator[Shot | Play]:
+        if self.signal is not None:
+            return iter(self.plays_of(condition))
+        return (shot for point in points for shot in self.shots_of(condition, point))
+
+
+def _signal_facts(signal: Signal) -> dict[str, Any]:
+    return {
+        "kind": signal.kind,
+        "period_s": signal.period_s,
+        "cycles": signal.cycles,
+        "phasors": np.stack([signal.phasors.real, signal.phasors.imag]),
+    }
 
 
 def make_plan(config: Config, plant: Plant) -> Plan:
@@ -249,7 +311,7 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         If frequencies are unusable.
     """
     spec = PlantSpec(config.plant.id, config.plant.parameters)
-    points, warnings = _points(config, plant)
+    signal, points, warnings = _signal_and_points(config, plant)
     conditions = tuple(_condition(section, plant) for section in config.operating_point)
     _check_range(conditions, plant)
     voltage_like = config.injection.kind == "series_voltage"
@@ -269,8 +331,9 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         conditions=conditions,
         source=source,
         kind=config.injection.kind,
+        signal=signal,
         amplitude=config.injection.amplitude_pu * peak,
-        probes=frozenset(_probes(points, config.sweep.probes)),
+        probes=frozenset() if signal is not None else frozenset(_probes(points, config.sweep.probes)),
         amplitude_pu=config.injection.amplitude_pu,
         tolerance=config.sweep.tolerance,
         uncertainty=config.sweep.uncertainty,
@@ -282,6 +345,12 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         configuration=config.to_dict(),
         warnings=tuple(warnings),
     )
+
+
+def _signal_and_points(config: Config, plant: Plant) -> tuple[Signal | None, list[Frequency], list[str]]:
+    if config.injection.signal == "tone":
+        return None, *_points(config, plant)
+    return broadband(config.sweep, config.injection, plant.f1_hz, plant.dt_s)
 
 
 def _points(config: Config, plant: Plant) -> tuple[list[Frequency], list[str]]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 
 from ..plant.protocol import NotSettled, Plant
 from .estimate import wall_time_s
 from .plan import PROBE_AMPLITUDE, Plan
+from .signals import Signal
 
 CONDITIONS_SHOWN = 12
 
@@ -17,6 +19,9 @@ def plan_text(plan: Plan, plant: Plant, jobs: int) -> str:
 
 
 def _shots(plan: Plan) -> Iterator[str]:
+    if plan.signal is not None:
+        yield from _plays(plan, plan.signal)
+        return
     yield "every operating point gets these shots, two a point:"
     yield f"{'f (Hz)':>12} {'injected at (Hz)':>28} {'periods':>8} {'window (s)':>11}"
     for point in plan.points:
@@ -24,6 +29,15 @@ def _shots(plan: Plan) -> Iterator[str]:
         window_s = point.window_blocks * plan.block.duration_s
         probed = "  at half amplitude, too" if point.f_hz in plan.probes else ""
         yield f"{point.f_hz:>12.6f} {injected:>28} {point.n_periods:>8} {window_s:>11.3g}{probed}"
+
+
+def _plays(plan: Plan, signal: Signal) -> Iterator[str]:
+    head = (
+        f"every operating point gets a {signal.kind} of {signal.period_s:g} s, {len(signal.cycles)} lines, "
+        f"crest factor {signal.crest:.2f}, four times: along d and along q, with both signs. Its points:"
+    )
+    yield from textwrap.wrap(head, 78)
+    yield from textwrap.wrap(", ".join(f"{point.f_hz:.6g}" for point in plan.points) + " Hz", 78, initial_indent="  ")
 
 
 def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:

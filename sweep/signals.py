@@ -27,6 +27,7 @@ from .sequences import inverse_repeat, maximum_length, next_residue_length, quad
 
 Kind = Literal["multisine", "prbs", "qrb", "chirp"]
 Axis = Literal["d", "q"]
+AXES: tuple[Axis, Axis] = ("d", "q")
 
 USABLE = 0.44
 """Highest usable line of a binary sequence in parts of its clock: half the power of its lowest lines."""

@@ -7,13 +7,14 @@ import signal
 import time
 from math import nan
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.protocol import Job, Phasors, Record
+from seqsweep.plant.protocol import Job, OperatingRange, Phasors, Rating, Record
 
 
 class RecordingBranch(RLBranch):
@@ -186,3 +187,121 @@ class NoisyBranch(RLBranch):
         white = rng.normal(size=(n + 2000, 2)) @ [1.0, 1j]
         colour = lfilter([np.sqrt(0.5 * (1.0 - self.pole**2))], [1.0, -self.pole], white)
         return self.level * colour[2000:]
+
+
+class BentBranch(RLBranch):
+    """The branch, its current bent as a function of how far v_pcc is from its operating point.
+
+    ``dead_band``: nothing is answered below ``limit_pu``. ``saturation``: no more is answered above it.
+    """
+
+    run_phasors = None
+
+    def __init__(self, how: str = "saturation", limit_pu: float = 4e-4):
+        super().__init__()
+        self.how, self.limit_pu = how, limit_pu
+
+    def run(self, jobs, n_steps):
+        return [
+            (end, self.bent(job.state, record))
+            for job, (end, record) in zip(jobs, super().run(jobs, n_steps), strict=True)
+        ]
+
+    def bent(self, state, record):
+        limit = self.limit_pu * self.rating.peak_voltage_v
+        away = record.v - state.v_source * np.exp(2j * np.pi * self.f1_hz * record.time_s)
+        size = np.maximum(np.abs(away), 1e-12)
+        share = np.minimum(1.0, limit / size) if self.how == "saturation" else np.maximum(0.0, 1.0 - limit / size)
+        return Record(record.t0_s, record.dt_s, record.v, record.i + 5.0 * share * away, record.f1_hz)
+
+
+class RippledBranch(RLBranch):
+    """The branch with a ripple on its current that is not synchronous with f1, as of a modulator."""
+
+    run_phasors = None
+
+    def __init__(self, size_pu: float = 0.02, f_ripple_hz: float = 2437.3):
+        super().__init__()
+        self.size_pu, self.f_ripple_hz = size_pu, f_ripple_hz
+
+    def run(self, jobs, n_steps):
+        return [(end, self.rippled(record)) for end, record in super().run(jobs, n_steps)]
+
+    def rippled(self, record):
+        ripple = self.size_pu * self.rating.peak_current_a * np.exp(2j * np.pi * self.f_ripple_hz * record.time_s)
+        return Record(record.t0_s, record.dt_s, record.v, record.i + ripple, record.f1_hz)
+
+
+class QuantisedConverter:
+    """A current-controlled converter on an ideal source whose sampled controller never rests.
+
+    L di/dt = v - R i - v_conv in the frame at f1, by the exact step; every ``dt_s`` the controller rounds the
+    current to ``step_a`` and sets v_conv for the next interval: the rounding keeps a limit cycle alive.
+    """
+
+    id = "quantised-v1"
+    power_meaning = "power at the PCC"
+    f1_hz = 50.0
+
+    def __init__(self, step_a: float = 5.0, dt_s: float = 1e-4):
+        self.dt_s, self.step_a = dt_s, step_a
+        self.rating = Rating(690.0, 1e6)
+        self.operating_range = OperatingRange((0.0, 1e6), (600.0, 760.0))
+        pole = -(0.01 + 2j * np.pi * self.f1_hz * 3e-4) / 3e-4
+        self.keeps, self.takes = np.exp(pole * dt_s), np.expm1(pole * dt_s) / (pole * 3e-4)
+
+    def settle(self, operating_point, source):
+        v = np.sqrt(2.0 / 3.0) * operating_point.terminal_voltage_v
+        i_ref = -operating_point.active_power_w / (1.5 * v)
+        start = SampledState(0, 0.0, complex(i_ref), v - (0.01 + 2j * np.pi * 50.0 * 3e-4) * i_ref, v, i_ref)
+        ((state, _),) = self.run([Job(start, None)], 4000)
+        return state
+
+    def run(self, jobs, n_steps):
+        time_s = np.array([job.state.time_s for job in jobs])
+        i, hold = (np.array([getattr(job.state, name) for job in jobs]) for name in ("i", "hold"))
+        v_0, i_ref = (np.array([getattr(job.state, name) for job in jobs]) for name in ("v_0", "i_ref"))
+        v = v_0[:, None] + np.array([self.perturbation(job, n_steps) for job in jobs])
+        answer = np.empty((len(jobs), n_steps), complex)
+        for k in range(n_steps):
+            answer[:, k] = i
+            error = self.step_a * (np.rint(i.real / self.step_a) + 1j * np.rint(i.imag / self.step_a)) - i_ref
+            i, hold = self.keeps * i + self.takes * (v[:, k] - hold - 0.6 * error), hold + 0.02 * error
+        results = []
+        for m, job in enumerate(jobs):
+            times = time_s[m] + self.dt_s * np.arange(n_steps)
+            turn = np.exp(2j * np.pi * ((self.f1_hz * times) % 1.0))
+            step = job.state.step + n_steps
+            end = SampledState(step, step * self.dt_s, complex(i[m]), complex(hold[m]), v_0[m], i_ref[m])
+            results.append((end, Record(time_s[m], self.dt_s, v[m] * turn, answer[m] * turn, self.f1_hz)))
+        return results
+
+    def perturbation(self, job, n_steps):
+        """Series voltage in the frame at f1, the first sample of each interval standing for all of it."""
+        times = job.state.time_s + self.dt_s * np.arange(n_steps)
+        u = np.zeros(n_steps, complex)
+        for tone in job.injection.tones if job.injection else ():
+            turns = ((tone.f_hz - self.f1_hz) * times) % 1.0
+            u += tone.amplitude * np.exp(1j * (2.0 * np.pi * turns + tone.phase_rad))
+        return u
+
+    def exact(self, f_hz):
+        """Admittance (n, 2, 2) of the sampled loop without the rounding, between samples."""
+        y = np.zeros((len(f_hz), 2, 2), complex)
+        y[:, 0, 0] = self._loop(np.exp(2j * np.pi * (f_hz - self.f1_hz) * self.dt_s))
+        y[:, 1, 1] = np.conj(self._loop(np.exp(2j * np.pi * (self.f1_hz - f_hz) * self.dt_s)))
+        return y
+
+    def _loop(self, z):
+        return self.takes / (z - self.keeps + self.takes * (0.6 + 0.02 / (z - 1.0)))
+
+
+class SampledState(NamedTuple):
+    """Step, time (s), current (A) and held integral (V) in the frame at f1; |v_pcc| peak (V) and reference (A)."""
+
+    step: int
+    time_s: float
+    i: complex
+    hold: complex
+    v_0: float
+    i_ref: float

@@ -1,0 +1,158 @@
+"""Driving a broadband signal: all points at once, along d and along q, each as a pair of opposite signs.
+
+Half the difference of a pair is free of the unperturbed operation and of even-order distortion. What odd-order
+distortion makes of the lines is heard on odd lines that are not played.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.fourier import rotation
+from ..identify.quality import NOISY_WINDOWS, Settled, first_agreement, steady_mean
+from ..identify.transient import transients
+from ..plant.protocol import Job, Plant, Record
+from .baseline import Baseline, run
+from .grid import Frequency
+from .lines import detection_lines
+from .plan import SETTLE_S, Batch, Plan
+
+NEAR = 5
+"""Detection lines whose distortion speaks for a line that is played."""
+
+
+class Heard(NamedTuple):
+    """What the lines of a signal show.
+
+    Attributes
+    ----------
+    pairs : list of (Settled, Settled)
+        Per point of the batch: along d and along q.
+    distortion : (n,) float
+        Per point: odd-order distortion near it, relative to the response; NaN where nothing listens.
+    """
+
+    pairs: list[tuple[Settled, Settled]]
+    distortion: np.ndarray
+
+
+class Periods(NamedTuple):
+    """What was heard so far, from the frame that rotates at f1.
+
+    Attributes
+    ----------
+    t0_s : float
+        Begin of the last period (s).
+    v, i : (2, n_periods, n) complex
+        Half the differences of the pairs, along d and along q (V, A).
+    """
+
+    t0_s: float
+    v: np.ndarray
+    i: np.ndarray
+
+
+def drive_broadband(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> Heard:
+    """Run the four plays of ``batch`` period by period until every point is at rest, or their time is over.
+
+    Raises
+    ------
+    PlantFault
+        If the plant does not give what was asked.
+    """
+    period_blocks = batch.points[0].window_blocks
+    period_s = period_blocks * plan.block.duration_s
+    jobs = [Job(base.state, plan.play(play, base.phi1)) for play in plan.plays_of(batch.condition)]
+    jobs, _ = _advance(plant, plan, jobs, ceil(SETTLE_S / plan.block.duration_s))
+    fewest = NOISY_WINDOWS + 1 if base.noisy else 2
+    heard: list[Periods] = []
+    while True:
+        jobs, records = _advance(plant, plan, jobs, period_blocks)
+        heard = [*(heard if base.noisy else heard[-1:]), _differences(records, plan)]
+        if len(heard) < fewest:
+            continue
+        result = _judged(plan, batch, base, heard)
+        over = records[0].t0_s + 2.0 * period_s - base.t0_s > plan.max_simulated_s
+        if over or all(s.agreed or not np.isfinite(s.residual) for pair in result.pairs for s in pair):
+            return result
+
+
+def _advance(plant: Plant, plan: Plan, jobs: list[Job], n_blocks: int) -> tuple[list[Job], list[Record]]:
+    answers = run(plant, jobs, n_blocks * plan.block.steps)
+    after = [Job(state, job.injection) for (state, _), job in zip(answers, jobs, strict=True)]
+    return after, [record for _, record in answers]
+
+
+def _differences(records: Sequence[Record], plan: Plan) -> Periods:
+    """One period: half the difference of each pair, turned into the frame at f1."""
+    first = records[0]
+    turn = 0.5 * rotation(plan.f1_hz, first.t0_s, plan.dt_s, len(first.v))
+    plus_d, minus_d, plus_q, minus_q = records
+    v = np.array([plus_d.v - minus_d.v, plus_q.v - minus_q.v])
+    i = np.array([plus_d.i - minus_d.i, plus_q.i - minus_q.i])
+    return Periods(first.t0_s, (turn * v)[:, None], (turn * i)[:, None])
+
+
+def _judged(plan: Plan, batch: Batch, base: Baseline, heard: Sequence[Periods]) -> Heard:
+    v, i = (np.concatenate(parts, axis=1) for parts in ([p.v for p in heard], [p.i for p in heard]))
+    if not base.noisy:
+        v, i = _without_transients(v, i, plan.dt_s)
+    spectra = Periods(heard[-1].t0_s, np.fft.fft(v) / v.shape[2], np.fft.fft(i) / i.shape[2])
+
+    def judge(v: np.ndarray, i: np.ndarray) -> Settled:
+        return steady_mean(v, i, plan.uncertainty) if base.noisy else first_agreement(v, i, plan.tolerance)
+
+    pairs = []
+    for point in batch.points:
+        v_at, i_at = _phasors(plan, point, spectra)
+        pairs.append((judge(v_at[0], i_at[0]), judge(v_at[1], i_at[1])))
+    return Heard(pairs, _distortion(plan, batch.points, spectra.i))
+
+
+def _without_transients(v: np.ndarray, i: np.ndarray, dt_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Two periods (2, 2, n) of v and i, less the modes that all their channels share."""
+    channels = np.concatenate([v.real, v.imag, i.real, i.imag])
+    of_both = np.stack(transients(channels[:, 0], channels[:, 1], dt_s), axis=1)
+    v_re, v_im, i_re, i_im = np.split(channels - of_both, 4)
+    return v_re + 1j * v_im, i_re + 1j * i_im
+
+
+def _phasors(plan: Plan, point: Frequency, spectra: Periods) -> tuple[np.ndarray, np.ndarray]:
+    """Phasors (2, n_periods, 2) of v and i at f and 2 f1 - f, in absolute time."""
+    period_s = point.window_blocks * plan.block.duration_s
+    cycles = point.n_periods - round(plan.f1_hz * period_s)
+    begin = np.exp(-2j * np.pi * ((cycles / period_s * spectra.t0_s) % 1.0))
+    at = np.array([cycles, -cycles])
+    turn = np.array([begin, np.conj(begin)])
+    return spectra.v[:, :, at] * turn, spectra.i[:, :, at] * turn
+
+
+def _distortion(plan: Plan, points: Sequence[Frequency], spectra: np.ndarray) -> np.ndarray:
+    """Odd-order distortion (n,) near every point, relative to its response; what scatters as noise is taken off."""
+    assert plan.signal is not None
+    _, silent = detection_lines(plan.signal.cycles)
+    if len(silent) < NEAR:
+        return np.full(len(points), np.nan)
+    response, distortion = _power(spectra, plan.signal.cycles), _power(spectra, silent)
+    period_s = points[0].window_blocks * plan.block.duration_s
+    levels = []
+    for point in points:
+        cycles = abs(point.n_periods - round(plan.f1_hz * period_s))
+        near = np.argsort(np.abs(np.log(silent / cycles)), kind="stable")[:NEAR]
+        played = int(np.searchsorted(plan.signal.cycles, cycles))
+        levels.append(np.sqrt(np.mean(distortion[near]) / response[played]))
+    return np.array(levels)
+
+
+def _power(spectra: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Power (n,) of the mean over the last periods at both sides of f1, both plays together, less that of the noise."""
+    both = np.stack([spectra[:, -NOISY_WINDOWS:, cycles], spectra[:, -NOISY_WINDOWS:, -cycles]])
+    mean = np.sum(np.abs(both.mean(axis=2)) ** 2, axis=(0, 1))
+    if spectra.shape[1] <= 2:
+        return mean
+    noise = np.sum(np.var(both, axis=2, ddof=1), axis=(0, 1)) / both.shape[2]
+    return np.maximum(mean - noise, 0.0)
