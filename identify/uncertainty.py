@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from .admittance import components
+from .response import FrequencyResponse
 
 LEVEL = 0.95
 """Level at which a region computed from the stored covariance with normal quantiles holds."""
@@ -101,3 +102,9 @@ def student_factor(freedom: int) -> float:
     if freedom < 1:
         raise ValueError(f"{freedom} degrees of freedom: a variance needs at least two windows")
     return float(freedom * ((1.0 - LEVEL) ** (-1.0 / freedom) - 1.0) / -np.log(1.0 - LEVEL))
+
+
+def relative_uncertainty(response: FrequencyResponse) -> np.ndarray:
+    """Standard error of Y over its size, sqrt(trace cov) / ||Y||_F, (n,); NaN where unknown."""
+    variance = np.trace(np.asarray(response.covariance), axis1=1, axis2=2)
+    return np.asarray(np.sqrt(variance) / np.linalg.norm(response.y, axis=(1, 2)))

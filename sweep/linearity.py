@@ -22,16 +22,16 @@ SIGNIFICANT = 9.0
 """A squared spread below so many times what noise makes of it says nothing."""
 
 
-def compared(row: Row, probe: Row | None = None) -> Row:
+def compared(row: Row, probe: Row, noise: float) -> Row:
     """``row`` with its linearity, ||Y - Y'||_F / ||Y||_F against the same point at another amplitude.
 
-    What noise alone would make of the difference is taken off; 0 where noise explains all of it, NaN without a probe.
+    ``noise`` (S^2) is what noise alone makes of the squared difference. It is taken off; the linearity is 0 where noise
+    explains all of it, and unknown where one of the two rows has no value.
     """
-    if probe is None or not isfinite(row.y[0] + probe.y[0]):
+    if not isfinite(row.y[0] + probe.y[0]):
         return row
-    y, other = row.admittance, probe.admittance
-    squared = float(np.linalg.norm(y - other) ** 2)
-    noise = float(np.trace(covariance_of(row)) + np.trace(covariance_of(probe)))
+    y = row.admittance
+    squared = float(np.linalg.norm(y - probe.admittance) ** 2)
     spread = squared - noise if squared > SIGNIFICANT * noise else 0.0
     return replace(row, linearity=float(np.sqrt(spread) / np.linalg.norm(y)))
 

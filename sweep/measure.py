@@ -20,7 +20,7 @@ from .baseline import Baseline, Unsettled, baseline
 from .broadband import drive_broadband
 from .drive import drive
 from .grid import Frequency
-from .linearity import compared
+from .linearity import compared, covariance_of
 from .plan import Batch, Plan
 from .rows import BatchResult, Row, blank_row, failed_batch, in_words, with_admittance
 
@@ -77,9 +77,16 @@ def _measured(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Ro
     settled = iter(drive(plant, plan, base, [shot for of_point in shots for shot in of_point]))
     rows = []
     for point, of_point in zip(batch.points, shots, strict=True):
-        at_each_amplitude = [_row(plan, point, (next(settled), next(settled)), base, plant) for _ in of_point[::2]]
-        rows.append(compared(*at_each_amplitude))
+        row, *probes = [_row(plan, point, (next(settled), next(settled)), base, plant) for _ in of_point[::2]]
+        for probe in probes:
+            row = compared(row, probe, _noise(row, probe) if base.noisy else 0.0)
+        rows.append(row)
     return rows
+
+
+def _noise(*rows: Row) -> float:
+    """What noise makes of the squared difference between two rows (S^2)."""
+    return float(sum(np.trace(covariance_of(row)) for row in rows))
 
 
 # Solving and judging

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..identify.response import STATUSES, FrequencyResponse
 from ..identify.table import iter_responses, read_metadata
+from ..identify.uncertainty import relative_uncertainty
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -46,6 +47,8 @@ class PointFacts:
     terminal_voltage_pu: float | None
     band_hz: tuple[float, float]
     statuses: Counter[str]
+    uncertainty: Worst | None
+    linearity: Worst | None
     residual: Worst | None
     cond_v: Worst | None
     settle_residual: float | None
@@ -112,6 +115,8 @@ def point_facts(response: FrequencyResponse) -> PointFacts:
         terminal_voltage_pu=meta.get("terminal_voltage_pu"),
         band_hz=(float(response.f_hz[0]), float(response.f_hz[-1])),
         statuses=Counter(np.asarray(response.status).tolist()),
+        uncertainty=_worst_value(response, relative_uncertainty(response)),
+        linearity=_worst(response, "linearity"),
         residual=_worst(response, "residual"),
         cond_v=_worst(response, "cond_v"),
         settle_residual=meta.get("settle_residual"),
@@ -119,7 +124,10 @@ def point_facts(response: FrequencyResponse) -> PointFacts:
 
 
 def _worst(response: FrequencyResponse, name: str) -> Worst | None:
-    values = np.asarray(response.quality.get(name, np.full(len(response), np.nan)), dtype=float)
+    return _worst_value(response, np.asarray(response.quality.get(name, np.full(len(response), np.nan)), dtype=float))
+
+
+def _worst_value(response: FrequencyResponse, values: np.ndarray) -> Worst | None:
     if np.all(np.isnan(values)):
         return None
     index = int(np.nanargmax(values))
@@ -214,6 +222,8 @@ def _block(point: PointFacts) -> Iterator[tuple[str, str]]:
     yield point.op_id, _condition(point)
     yield "  band", f"{_band(point.band_hz)}, {point.points} points"
     yield "  status", _statuses(point.statuses)
+    yield "  error", f"worst {_at(point.uncertainty)} (one standard error, of |Y|)"
+    yield "  linear", f"worst {_at(point.linearity)} (spread over the amplitude, of |Y|)"
     yield "  residual", f"worst {_at(point.residual)}"
     yield "  cond(V)", f"worst {_at(point.cond_v)}"
     if point.settle_residual is not None:
@@ -229,6 +239,8 @@ def _overview(facts: Sequence[PointFacts], width: int) -> list[RenderableType]:
     band = (min(point.band_hz[0] for point in facts), max(point.band_hz[1] for point in facts))
     sums = [
         ("band", f"{_band(band)}, {facts[0].points} points each"),
+        ("error", f"worst {_at(_worst_of(point.uncertainty for point in facts), named=True)}"),
+        ("linear", f"worst {_at(_worst_of(point.linearity for point in facts), named=True)}"),
         ("residual", f"worst {_at(_worst_of(point.residual for point in facts), named=True)}"),
         ("cond(V)", f"worst {_at(_worst_of(point.cond_v for point in facts), named=True)}"),
     ]
@@ -313,9 +325,10 @@ _COLUMNS = (
         "pu", 44, lambda point: "grid" if point.terminal_voltage_pu is None else f"{point.terminal_voltage_pu:.4g}"
     ),
     _Column("ok", 0, lambda point: str(point.statuses["ok"])),
-    _Column("residual", 56, lambda point: _value(point.residual)),
-    _Column("at Hz", 56, lambda point: _place(point.residual)),
-    _Column("cond(V)", 72, lambda point: _value(point.cond_v)),
+    _Column("error", 50, lambda point: _value(point.uncertainty)),
+    _Column("residual", 66, lambda point: _value(point.residual)),
+    _Column("at Hz", 66, lambda point: _place(point.residual)),
+    _Column("cond(V)", 80, lambda point: _value(point.cond_v)),
     _Column("at Hz", 92, lambda point: _place(point.cond_v)),
     _Column("not ok", 0, _not_ok),
 )

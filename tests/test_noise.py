@@ -113,7 +113,8 @@ def test_rows_between_probes_take_the_larger_spread():
     rows = rows_of(plant, planned(plant, f_hz=[10.0, 20.0, 30.0, 70.0, 80.0], sweep={"probes": 0}))
     assert all(np.isnan(row.linearity) for row in rows)
     bent = [
-        compared(row, _scaled(row, by)) if by else row for row, by in zip(rows, (0.002, 0, 0.01, 0, 0.001), strict=True)
+        compared(row, _scaled(row, by), 0.0) if by else row
+        for row, by in zip(rows, (0.002, 0, 0.01, 0, 0.001), strict=True)
     ]
     told = [row.linearity for row in judged(bent, 1.0)]
     np.testing.assert_allclose(told, [0.002, 0.01, 0.01, 0.01, 0.001], rtol=1e-3)
