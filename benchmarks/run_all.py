@@ -15,7 +15,17 @@ from pathlib import Path
 
 from harness import KEPT, ROOT, Report, read_report
 
-NAMES = ("kernel", "against_others", "dpsim_sweep", "tradeoff", "scaling", "parallel", "process", "thousand")
+NAMES = (
+    "kernel",
+    "against_others",
+    "dpsim_sweep",
+    "tradeoff",
+    "accuracy",
+    "scaling",
+    "parallel",
+    "process",
+    "thousand",
+)
 NEEDS_DPSIM = {"dpsim_sweep"}
 
 
