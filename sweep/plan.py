@@ -24,8 +24,9 @@ from ..plant.protocol import (
     reactance_to_inductance,
 )
 from ..plant.registry import PlantSpec, fingerprint, is_built_in
-from .config import Config, OperatingPointSection
+from .config import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SweepSection
 from .grid import Block, Frequency, coherent_block, generated, listed
+from .rounds import Adaptive, first_round
 
 RESULT_VERSION = 1
 """Part of every hash: raise it when the same shot gives another number."""
@@ -124,7 +125,7 @@ class Plan:
     block : Block
         The unit in which windows are cut.
     points : tuple of Frequency
-        Ascending.
+        Ascending; of an adaptive grid the first round.
     conditions : tuple of Condition
         Operating points in campaign order.
     source : Source
@@ -145,6 +146,8 @@ class Plan:
         The whole configuration, as it is stored.
     warnings : tuple of str
         What the user should know before it runs.
+    adaptive : Adaptive or None
+        What the further rounds are asked for; None where ``points`` are all.
     """
 
     spec: PlantSpec
@@ -165,6 +168,7 @@ class Plan:
     timeout_s: float | None
     configuration: Mapping[str, Any]
     warnings: tuple[str, ...] = field(default=())
+    adaptive: Adaptive | None = None
 
     def shots(self) -> Iterator[Shot]:
         """Every experiment, in campaign order."""
@@ -258,6 +262,7 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         timeout_s=config.plant.timeout_s,
         configuration=config.to_dict(),
         warnings=tuple(warnings),
+        adaptive=_adaptive(config.sweep),
     )
 
 
@@ -268,9 +273,21 @@ def _points(config: Config, plant: Plant) -> tuple[list[Frequency], list[str]]:
     assert sweep.f_min_hz is not None
     assert sweep.f_max_hz is not None
     assert sweep.points is not None
+    if adaptive := _adaptive(sweep):
+        return first_round(adaptive, plant.f1_hz, plant.dt_s, coherent_block(plant.f1_hz, plant.dt_s)), []
     points = generated(sweep.f_min_hz, sweep.f_max_hz, sweep.points, sweep.spacing, plant.f1_hz, plant.dt_s)
     fewer = f"the grid has {len(points)} points instead of {sweep.points}: neighbours met when they were snapped"
     return points, [fewer] if len(points) < sweep.points else []
+
+
+def _adaptive(sweep: SweepSection) -> Adaptive | None:
+    if sweep.spacing != "adaptive":
+        return None
+    assert sweep.f_min_hz is not None
+    assert sweep.f_max_hz is not None
+    assert sweep.points is not None
+    tolerance = sweep.interpolation_tolerance or DEFAULT_INTERPOLATION_TOLERANCE
+    return Adaptive(sweep.f_min_hz, sweep.f_max_hz, sweep.points, tolerance)
 
 
 def _condition(section: OperatingPointSection, plant: Plant) -> Condition:

@@ -13,7 +13,7 @@ CONDITIONS_SHOWN = 12
 
 def plan_text(plan: Plan, plant: Plant, jobs: int) -> str:
     """Every shot of ``plan``, simulated seconds and the wall time expected with ``jobs`` workers."""
-    return "\n".join([*_shots(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)])
+    return "\n".join([*_shots(plan), *_further_rounds(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)])
 
 
 def _shots(plan: Plan) -> Iterator[str]:
@@ -23,6 +23,15 @@ def _shots(plan: Plan) -> Iterator[str]:
         injected = ", ".join(f"{shot.injected_hz:+.6g}" for shot in plan.shots_of(plan.conditions[0], point))
         window_s = point.window_blocks * plan.block.duration_s
         yield f"{point.f_hz:>12.6f} {injected:>28} {point.n_periods:>8} {window_s:>11.3g}"
+
+
+def _further_rounds(plan: Plan) -> Iterator[str]:
+    if plan.adaptive is not None:
+        yield (
+            f"this is the first round of an adaptive grid; further ones follow where the interpolation is unsure, until "
+            f"it is certified to {plan.adaptive.tolerance:g} or there are {plan.adaptive.most_points} points; what "
+            "follows below is said of the first round"
+        )
 
 
 def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
