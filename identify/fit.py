@@ -228,6 +228,28 @@ def fit_response(
     return _model(problem, response.f1_hz, trial, notes + removed + mirrored)
 
 
+def fit_poles(data: DqData, poles: np.ndarray, *, f1_hz: float, noise_floor: float) -> RationalModel:
+    """Rational model with as many poles as are given, which are moved to where they fit best.
+
+    Nothing is selected, pruned or mirrored, and residues keep their full rank: a description of the data, for
+    interpolation, not a statement about the device.
+
+    Parameters
+    ----------
+    data : DqData
+        What `to_dq` gives.
+    poles : (m,) complex
+        First guess (rad/s), conjugates included or not.
+    f1_hz : float
+        Fundamental frequency (Hz).
+    noise_floor : float
+        As in `fit_response`.
+    """
+    problem = _problem(data, noise_floor)
+    trial = _refine(problem, _vector_fit(problem, _upper(poles), 1))
+    return _model(problem, f1_hz, trial, (), whole_ranks=True)
+
+
 class _Problem(NamedTuple):
     """Weighted data in one shape: s (n,) rad/s, y (4, n) S, weight (4, n), floor in units of the weighted misfit."""
 
@@ -579,9 +601,11 @@ def _projected_jacobian(problem: _Problem, trial: _Trial, linear: _Linear) -> tu
 # The finished model ------------------------------------------------------------------------------------------------
 
 
-def _model(problem: _Problem, f1_hz: float, trial: _Trial, notes: tuple[str, ...]) -> RationalModel:
+def _model(
+    problem: _Problem, f1_hz: float, trial: _Trial, notes: tuple[str, ...], whole_ranks: bool = False
+) -> RationalModel:
     linear = _linear(problem, trial.poles, trial.tail)
-    cut = _cut_ranks(problem, trial, linear)
+    cut = _uncut(trial, linear) if whole_ranks else _cut_ranks(problem, trial, linear)
     residues, d, e = _parts(trial, cut.coefficients)
     n_real, n_pair = _counts_upper(trial.poles)
     m = n_real + 2 * n_pair
@@ -654,6 +678,10 @@ class _Cut(NamedTuple):
 
     coefficients: np.ndarray
     ranks: np.ndarray
+
+
+def _uncut(trial: _Trial, linear: _Linear) -> _Cut:
+    return _Cut(linear.coefficients, np.full(_order(trial.poles), 2))
 
 
 def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:

@@ -6,14 +6,16 @@ kept is written by the runner, so that workers may be threads, processes or othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..identify.adaptive import Decision, decide
 from ..identify.response import FrequencyResponse
 from ..identify.table import QUALITY, unpack_covariance, write_table
 from ..plant.protocol import Plant
@@ -24,6 +26,7 @@ from .isolate import children, die_with_parent
 from .linearity import judged
 from .measure import measure
 from .plan import Batch, Condition, Plan
+from .rounds import certificate, certificate_text, next_round
 from .rows import BatchResult, Row
 
 Report = Callable[[int, int, float], None]
@@ -38,9 +41,10 @@ class RunError(ValueError):
 
 
 class Outcome(NamedTuple):
-    """What a run left behind: rows by status."""
+    """What a run left behind: rows by status, and what an adaptive grid has to say of each operating point."""
 
     statuses: dict[str, int]
+    remarks: tuple[str, ...] = ()
 
     @property
     def all_ok(self) -> bool:
@@ -91,20 +95,57 @@ def run(
     with shards.locked(folder):
         if not discard:
             _refuse_strangers(plan, folder)
-        _measure_missing(plan, plant, folder, jobs, backend, scheduler, report)
-        outcome = _assemble(plan, plant, folder, output)
+        bring = partial(_measure_missing, plant=plant, folder=folder, jobs=jobs, backend=backend, scheduler=scheduler)
+        batches, certificates = _measure_all(plan, folder, bring, report)
+        outcome = _assemble(plan, plant, batches, certificates, folder, output)
         shards.remove(folder)
     return outcome
 
 
 def _refuse_strangers(plan: Plan, folder: Path) -> None:
     """Work of another campaign is not thrown away unasked: a forgotten ``--set`` would cost it."""
-    strangers = shards.keys(folder) - {batch.key for batch in plan.batches()}
+    ours = {batch.key for batch in plan.batches()}
+    strangers = shards.keys(folder) - ours
+    if plan.adaptive is not None and len(strangers) < len(shards.keys(folder)):
+        return  # shards of the first round are ours: so may be those of further rounds
     if strangers:
         raise RunError(
             f"{folder} holds {len(strangers)} batches of another campaign, or of this one with other settings: run "
             "that one again to finish it, or give --force to discard them"
         )
+
+
+def _measure_all(
+    plan: Plan, folder: Path, bring: Callable[..., None], report: Report
+) -> tuple[list[Batch], dict[str, dict[str, Any]]]:
+    """Bring every batch, those of an adaptive grid round after round; and what its last round certifies, by op_id.
+
+    Rounds follow from the rows alone, so that a run that goes on where another was ended asks the same questions.
+    """
+    if plan.adaptive is None:
+        bring(plan, report=report)
+        return list(plan.batches()), {}
+    asked, band_hz = plan.adaptive, plan.adaptive.band_hz(plan.f1_hz)
+    points, fresh, n_rounds = list[Frequency](), list(plan.points), 0
+    batches: list[Batch] = []
+    decision: Decision | None = None
+    most = asked.most_points * len(plan.conditions)
+    while fresh:
+        round_plan, n_rounds = replace(plan, points=tuple(fresh)), n_rounds + 1
+        bring(round_plan, report=_further(report, len(points) * len(plan.conditions), most))
+        batches += round_plan.batches()
+        points += fresh
+        responses = list(_responses(plan, _batches_by_condition(plan, batches), folder, {}))
+        decision = decide(responses, decision, band_hz, asked.tolerance)
+        fresh = next_round(decision.nu_hz, points, asked, plan.f1_hz, plan.block)
+    report(len(points) * len(plan.conditions), len(points) * len(plan.conditions), 1.0)
+    assert decision is not None
+    return batches, {v.op_id: certificate(v, asked, plan.f1_hz, n_rounds) for v in decision.verdicts}
+
+
+def _further(report: Report, before: int, most: int) -> Report:
+    """Progress of one round as that of the whole, which is as much as ``most`` points."""
+    return lambda done, total, share: report(before + done, most, (before + done) / most)
 
 
 def _measure_missing(
@@ -223,17 +264,28 @@ def _in_process(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
 # The table
 
 
-def _assemble(plan: Plan, plant: Plant, folder: Path, output: Path) -> Outcome:
+def _assemble(
+    plan: Plan,
+    plant: Plant,
+    batches: Sequence[Batch],
+    certificates: Mapping[str, dict[str, Any]],
+    folder: Path,
+    output: Path,
+) -> Outcome:
     """The table from the shards, one operating point in memory at a time."""
-    by_condition = _batches_by_condition(plan)
+    by_condition = _batches_by_condition(plan, batches)
     statuses: dict[str, int] = {}
-    write_table(output, _responses(plan, by_condition, folder, statuses), _metadata(plan, plant, by_condition, folder))
-    return Outcome(statuses)
+    meta = _metadata(plan, plant, by_condition, folder)
+    for entry in meta["operating_points"]:
+        if entry["op_id"] in certificates:
+            entry["interpolation"] = certificates[entry["op_id"]]
+    write_table(output, _responses(plan, by_condition, folder, statuses), meta)
+    return Outcome(statuses, tuple(f"{name}: {certificate_text(c, plan.f1_hz)}" for name, c in certificates.items()))
 
 
-def _batches_by_condition(plan: Plan) -> dict[str, list[Batch]]:
+def _batches_by_condition(plan: Plan, batches: Sequence[Batch]) -> dict[str, list[Batch]]:
     found: dict[str, list[Batch]] = {condition.op_id: [] for condition in plan.conditions}
-    for batch in plan.batches():
+    for batch in batches:
         found[batch.condition.op_id].append(batch)
     return found
 

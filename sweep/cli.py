@@ -109,6 +109,8 @@ def run(
         )
     counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.statuses.items(), key=lambda item: -item[1]))
     typer.echo(f"{output}: {counts}", err=True)
+    for remark in outcome.remarks:
+        typer.echo(remark, err=True)
     if not outcome.all_ok:
         raise typer.Exit(NOT_ALL_OK)
 

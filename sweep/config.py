@@ -26,7 +26,6 @@ MAX_AMPLITUDE_PU = 0.2
 PROBLEMS_SHOWN = 20
 
 _PLANNED: dict[Keys, tuple[str, ...]] = {
-    ("sweep", "spacing"): ("adaptive",),
     ("injection", "amplitude_pu"): ("auto",),
 }
 
@@ -102,7 +101,13 @@ class SweepSection(_Section):
     points: Annotated[int, Field(ge=2, le=MAX_POINTS)] | None = Field(
         default=None, description=f"a whole number from 2 to {MAX_POINTS}"
     )
-    spacing: Literal["log", "linear"] = Field(default="log", description='"log" or "linear"')
+    spacing: Literal["log", "linear", "adaptive"] = Field(
+        default="log", description='"log", "linear" or "adaptive" (points is then the most it may take)'
+    )
+    interpolation_tolerance: Annotated[Positive, Field(lt=1)] | None = Field(
+        default=None,
+        description='a number between 0 and 1, the interpolation error an "adaptive" grid is to be certified for',
+    )
     f_hz: Annotated[tuple[Positive, ...], Field(strict=False)] | None = Field(
         default=None, description="a list of increasing frequencies above 0, in Hz, such as [1.0, 10.0, 75.5]"
     )
@@ -507,9 +512,13 @@ def _points(points: Sequence[Any]) -> Iterator[_Problem]:
 
 _RANGE = ("f_min_hz", "f_max_hz", "points")
 
+MIN_ADAPTIVE_POINTS = 12
+DEFAULT_INTERPOLATION_TOLERANCE = 1e-3
+
 
 def _frequencies(sweep: Mapping[str, Any]) -> Iterator[_Problem]:
     present = [key for key in _RANGE if sweep.get(key) is not None]
+    yield from _adaptive(sweep)
     if sweep.get("f_hz") is not None:
         for key in present:
             yield _Problem(("sweep", key), "given beside f_hz; needed: either f_hz, or f_min_hz, f_max_hz and points")
@@ -522,6 +531,17 @@ def _frequencies(sweep: Mapping[str, Any]) -> Iterator[_Problem]:
     low, high = _number(sweep.get("f_min_hz")), _number(sweep.get("f_max_hz"))
     if low is not None and high is not None and not low < high:
         yield _Problem(("sweep", "f_max_hz"), f"given {high:g}; needed: a number above f_min_hz = {low:g}, in Hz")
+
+
+def _adaptive(sweep: Mapping[str, Any]) -> Iterator[_Problem]:
+    adaptive, points = sweep.get("spacing") == "adaptive", _number(sweep.get("points"))
+    if sweep.get("interpolation_tolerance") is not None and not adaptive:
+        yield _Problem(("sweep", "interpolation_tolerance"), 'given, but it goes with spacing = "adaptive" alone')
+    if adaptive and sweep.get("f_hz") is not None:
+        yield _Problem(("sweep", "spacing"), 'given "adaptive" beside f_hz; needed: f_min_hz, f_max_hz and points')
+    elif adaptive and points is not None and 2 <= points < MIN_ADAPTIVE_POINTS:
+        needed = f"at least {MIN_ADAPTIVE_POINTS}, the most points an adaptive grid may take"
+        yield _Problem(("sweep", "points"), f"given {points:g}; needed: {needed}")
 
 
 def _increasing(f_hz: Any) -> Iterator[_Problem]:

@@ -91,14 +91,11 @@ def generated(
     """
     space = np.geomspace if spacing == "log" else np.linspace
     wanted = space(f_min_hz, f_max_hz, points)
-    _check_band(wanted, f1_hz, dt_s)
+    check_band(wanted, f1_hz, dt_s)
     block = coherent_block(f1_hz, dt_s)
     room = GENERATED_SHIFT * np.minimum(np.diff(wanted, prepend=-np.inf), np.diff(wanted, append=np.inf))
-    found = [
-        _exact(f, f1_hz, block) or _nearby(f, move, f1_hz, block)
-        for f, move in zip(wanted[[0, -1]], room[[0, -1]], strict=True)
-    ]
-    inner = [_nearby(f, move, f1_hz, block) for f, move in zip(wanted[1:-1], room[1:-1], strict=True)]
+    found = [exact_or_nearby(f, move, f1_hz, block) for f, move in zip(wanted[[0, -1]], room[[0, -1]], strict=True)]
+    inner = [nearby(f, move, f1_hz, block) for f, move in zip(wanted[1:-1], room[1:-1], strict=True)]
     unique = {point.f_hz: point for point in [found[0], *inner, found[1]] if point is not None}
     if not unique:
         raise GridError(f"no usable frequency between {f_min_hz:g} and {f_max_hz:g} Hz; widen the band")
@@ -121,11 +118,11 @@ def listed(f_hz: Sequence[float], f1_hz: float, dt_s: float) -> tuple[list[Frequ
         For f1 itself, a frequency above Nyquist, or one that cannot be reached.
     """
     wanted = np.asarray(f_hz, dtype=float)
-    _check_band(wanted, f1_hz, dt_s)
+    check_band(wanted, f1_hz, dt_s)
     block = coherent_block(f1_hz, dt_s)
     points, warnings = [], []
     for f in wanted:
-        point = _exact(f, f1_hz, block) or _nearby(f, LISTED_SHIFT * f, f1_hz, block)
+        point = exact_or_nearby(f, LISTED_SHIFT * f, f1_hz, block)
         if point is None:
             raise GridError(
                 f"{f:g} Hz: no window of up to {MAX_WINDOW_S:g} s holds whole periods of it (or of anything within "
@@ -140,7 +137,8 @@ def listed(f_hz: Sequence[float], f1_hz: float, dt_s: float) -> tuple[list[Frequ
     return points, warnings
 
 
-def _check_band(wanted: np.ndarray, f1_hz: float, dt_s: float) -> None:
+def check_band(wanted: np.ndarray, f1_hz: float, dt_s: float) -> None:
+    """Refuse f1 itself and what is above Nyquist (`GridError`)."""
     at_f1 = np.abs(wanted - f1_hz) <= 1e-9 * f1_hz
     if len(wanted) and np.any(at_f1):
         raise GridError(
@@ -156,6 +154,11 @@ def _check_band(wanted: np.ndarray, f1_hz: float, dt_s: float) -> None:
         )
 
 
+def exact_or_nearby(f: float, move_hz: float, f1_hz: float, block: Block) -> Frequency | None:
+    """``f`` itself where some window holds whole periods of it, else as `nearby`."""
+    return _exact(f, f1_hz, block) or nearby(f, move_hz, f1_hz, block)
+
+
 def _exact(f: float, f1_hz: float, block: Block) -> Frequency | None:
     """``f`` itself, if some window of up to MAX_WINDOW_S holds whole periods of it."""
     for n_blocks in range(1, _most_blocks(block) + 1):
@@ -165,7 +168,7 @@ def _exact(f: float, f1_hz: float, block: Block) -> Frequency | None:
     return None
 
 
-def _nearby(f: float, move_hz: float, f1_hz: float, block: Block) -> Frequency | None:
+def nearby(f: float, move_hz: float, f1_hz: float, block: Block) -> Frequency | None:
     """The frequency within ``move_hz`` of ``f`` that has the shortest window; the nearest of those."""
     found: list[tuple[int, float, int, int]] = []
     for n_blocks in range(1, _most_blocks(block) + 1):

@@ -26,8 +26,9 @@ from ..plant.protocol import (
     reactance_to_inductance,
 )
 from ..plant.registry import PlantSpec, fingerprint, is_built_in
-from .config import Config, OperatingPointSection
+from .config import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SweepSection
 from .grid import Block, Frequency, coherent_block, generated, listed
+from .rounds import Adaptive, first_round
 from .signal_choice import broadband
 from .signals import AXES, Axis, Signal, negated, tones
 
@@ -161,7 +162,7 @@ class Plan:
     block : Block
         The unit in which windows are cut.
     points : tuple of Frequency
-        Ascending.
+        Ascending; of an adaptive grid the first round.
     conditions : tuple of Condition
         Operating points in campaign order.
     source : Source
@@ -186,6 +187,8 @@ class Plan:
         The whole configuration, as it is stored.
     warnings : tuple of str
         What the user should know before it runs.
+    adaptive : Adaptive or None
+        What the further rounds are asked for; None where ``points`` are all.
     """
 
     spec: PlantSpec
@@ -210,6 +213,7 @@ class Plan:
     timeout_s: float | None
     configuration: Mapping[str, Any]
     warnings: tuple[str, ...] = field(default=())
+    adaptive: Adaptive | None = None
 
     def shots(self) -> Iterator[Shot | Play]:
         """Every experiment, in campaign order."""
@@ -344,6 +348,7 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         timeout_s=config.plant.timeout_s,
         configuration=config.to_dict(),
         warnings=tuple(warnings),
+        adaptive=_adaptive(config.sweep),
     )
 
 
@@ -360,6 +365,8 @@ def _points(config: Config, plant: Plant) -> tuple[list[Frequency], list[str]]:
     assert sweep.f_min_hz is not None
     assert sweep.f_max_hz is not None
     assert sweep.points is not None
+    if adaptive := _adaptive(sweep):
+        return first_round(adaptive, plant.f1_hz, plant.dt_s, coherent_block(plant.f1_hz, plant.dt_s)), []
     points = generated(sweep.f_min_hz, sweep.f_max_hz, sweep.points, sweep.spacing, plant.f1_hz, plant.dt_s)
     fewer = f"the grid has {len(points)} points instead of {sweep.points}: neighbours met when they were snapped"
     return points, [fewer] if len(points) < sweep.points else []
@@ -370,6 +377,16 @@ def _probes(points: Sequence[Frequency], wanted: int | None) -> list[float]:
     n = max(MIN_PROBES, round(len(points) / ROWS_PER_PROBE)) if wanted is None else wanted
     at = np.unique(np.linspace(0, len(points) - 1, min(n, len(points))).round().astype(int))
     return [points[k].f_hz for k in at]
+
+
+def _adaptive(sweep: SweepSection) -> Adaptive | None:
+    if sweep.spacing != "adaptive":
+        return None
+    assert sweep.f_min_hz is not None
+    assert sweep.f_max_hz is not None
+    assert sweep.points is not None
+    tolerance = sweep.interpolation_tolerance or DEFAULT_INTERPOLATION_TOLERANCE
+    return Adaptive(sweep.f_min_hz, sweep.f_max_hz, sweep.points, tolerance)
 
 
 def _condition(section: OperatingPointSection, plant: Plant) -> Condition:

@@ -15,7 +15,9 @@ CONDITIONS_SHOWN = 12
 
 def plan_text(plan: Plan, plant: Plant, jobs: int) -> str:
     """Every shot of ``plan``, simulated seconds and the wall time expected with ``jobs`` workers."""
-    return "\n".join([*_shots(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)])
+    return "\n".join(
+        [*_shots(plan), *_further_rounds(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)]
+    )
 
 
 def _shots(plan: Plan) -> Iterator[str]:
@@ -38,6 +40,15 @@ def _plays(plan: Plan, signal: Signal) -> Iterator[str]:
     )
     yield from textwrap.wrap(head, 78)
     yield from textwrap.wrap(", ".join(f"{point.f_hz:.6g}" for point in plan.points) + " Hz", 78, initial_indent="  ")
+
+
+def _further_rounds(plan: Plan) -> Iterator[str]:
+    if plan.adaptive is not None:
+        yield (
+            f"this is the first round of an adaptive grid; further ones follow where the interpolation is unsure, until "
+            f"it is certified to {plan.adaptive.tolerance:g} or there are {plan.adaptive.most_points} points; what "
+            "follows below is said of the first round"
+        )
 
 
 def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:

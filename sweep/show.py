@@ -19,6 +19,7 @@ import numpy as np
 from ..identify.response import STATUSES, FrequencyResponse
 from ..identify.table import iter_responses, read_metadata
 from ..identify.uncertainty import relative_uncertainty
+from .rounds import certificate_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -52,6 +53,7 @@ class PointFacts:
     residual: Worst | None
     cond_v: Worst | None
     settle_residual: float | None
+    interpolation: str | None
 
     @property
     def points(self) -> int:
@@ -120,7 +122,14 @@ def point_facts(response: FrequencyResponse) -> PointFacts:
         residual=_worst(response, "residual"),
         cond_v=_worst(response, "cond_v"),
         settle_residual=meta.get("settle_residual"),
+        interpolation=_interpolation(response),
     )
+
+
+def _interpolation(response: FrequencyResponse) -> str | None:
+    """What an adaptive sweep certified."""
+    entry = response.meta.get("interpolation")
+    return certificate_text(entry, response.f1_hz) if isinstance(entry, dict) else None
 
 
 def _worst(response: FrequencyResponse, name: str) -> Worst | None:
@@ -228,6 +237,8 @@ def _block(point: PointFacts) -> Iterator[tuple[str, str]]:
     yield "  cond(V)", f"worst {_at(point.cond_v)}"
     if point.settle_residual is not None:
         yield "  settled", f"to {point.settle_residual:.2g} over a period"
+    if point.interpolation is not None:
+        yield "  adaptive", point.interpolation
 
 
 def _blocks(facts: Sequence[PointFacts]) -> list[RenderableType]:
@@ -247,6 +258,9 @@ def _overview(facts: Sequence[PointFacts], width: int) -> list[RenderableType]:
     settled = [point.settle_residual for point in facts if point.settle_residual is not None]
     if settled:
         sums.append(("settled", f"to {max(settled):.2g} over a period, or better"))
+    if adaptive := [point for point in facts if point.interpolation is not None]:
+        certified = sum("not certified" not in str(point.interpolation) for point in adaptive)
+        sums.append(("adaptive", f"interpolation certified for {certified} of {len(adaptive)} operating points"))
     listed = list(facts)
     parts: list[RenderableType] = [_pairs(sums), ""]
     if len(facts) > LISTED_UP_TO:
