@@ -155,7 +155,8 @@ def band_of(f_min_hz: float, f_max_hz: float, f1_hz: float) -> tuple[float, floa
     low, high = (NEAREST_HZ, max(ends)) if inside else (max(min(ends), NEAREST_HZ), max(ends))
     if not low < high:
         raise ValueError(
-            f"the band from {f_min_hz:g} to {f_max_hz:g} Hz lies within {NEAREST_HZ:g} Hz of f1 = {f1_hz:g} Hz: widen it"
+            f"the band from {f_min_hz:g} to {f_max_hz:g} Hz lies within {NEAREST_HZ:g} Hz of f1 = {f1_hz:g} Hz: "
+            "widen it"
         )
     return low, high
 

@@ -58,15 +58,9 @@ def pilots(plan: Plan) -> Pilots:
         bands = tuple(tuple(plan.points[k] for k in band) for band in cut)
         points = tuple(_handiest(band) for band in bands)
     ladder = tuple(
-        replace(with_amplitude(plan, plan.amplitude_pu / RATIO**step), points=points, probes=frozenset())
-        for step in range(STEPS)
+        replace(plan.at(plan.amplitude_pu / RATIO**step), points=points, probes=frozenset()) for step in range(STEPS)
     )
     return Pilots(bands, points, ladder)
-
-
-def with_amplitude(plan: Plan, amplitude_pu: float) -> Plan:
-    """The plan at another amplitude."""
-    return replace(plan, amplitude=plan.amplitude * amplitude_pu / plan.amplitude_pu, amplitude_pu=amplitude_pu)
 
 
 def chosen(asked: Pilots, ladder: Sequence[Mapping[str, Sequence[Row]]]) -> Levels:
@@ -93,7 +87,7 @@ def parts(plan: Plan, points: Sequence[Frequency], asked: Pilots, levels: Levels
         for level in sorted(set(own), reverse=True):
             at_level = tuple(p for p, band in zip(points, band_of, strict=True) if own[band] == level)
             if at_level:
-                found.append(replace(with_amplitude(plan, level), conditions=(condition,), points=at_level))
+                found.append(replace(plan.at(level), conditions=(condition,), points=at_level))
     return found
 
 

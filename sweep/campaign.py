@@ -21,6 +21,7 @@ from ..identify.table import QUALITY, unpack_covariance, write_table
 from ..plant.protocol import Plant
 from ..plant.registry import releases_gil
 from . import shards
+from .amplitude import chosen, parts, pilots
 from .grid import Frequency
 from .isolate import children, die_with_parent
 from .linearity import judged
@@ -104,9 +105,10 @@ def run(
 
 def _refuse_strangers(plan: Plan, folder: Path) -> None:
     """Work of another campaign is not thrown away unasked: a forgotten ``--set`` would cost it."""
-    ours = {batch.key for batch in plan.batches()}
+    first = pilots(plan).plans if plan.automatic else (plan,)
+    ours = {batch.key for part in first for batch in part.batches()}
     strangers = shards.keys(folder) - ours
-    if plan.adaptive is not None and len(strangers) < len(shards.keys(folder)):
+    if (plan.adaptive is not None or plan.automatic) and len(strangers) < len(shards.keys(folder)):
         return  # shards of the first round are ours: so may be those of further rounds
     if strangers:
         raise RunError(
@@ -122,18 +124,20 @@ def _measure_all(
 
     Rounds follow from the rows alone, so that a run that goes on where another was ended asks the same questions.
     """
+    batches_of = _at_one_amplitude(plan) if not plan.automatic else _at_balanced_amplitudes(plan, folder, bring)
     if plan.adaptive is None:
-        bring(plan, report=report)
-        return list(plan.batches()), {}
+        batches = batches_of(plan.points)
+        bring(plan, batches, report=report)
+        return batches, {}
     asked, band_hz = plan.adaptive, plan.adaptive.band_hz(plan.f1_hz)
     points, fresh, n_rounds = list[Frequency](), list(plan.points), 0
-    batches: list[Batch] = []
+    batches = []
     decision: Decision | None = None
     most = asked.most_points * len(plan.conditions)
     while fresh:
-        round_plan, n_rounds = replace(plan, points=tuple(fresh)), n_rounds + 1
-        bring(round_plan, report=_further(report, len(points) * len(plan.conditions), most))
-        batches += round_plan.batches()
+        of_round, n_rounds = batches_of(fresh), n_rounds + 1
+        bring(plan, of_round, report=_further(report, len(points) * len(plan.conditions), most))
+        batches += of_round
         points += fresh
         responses = list(_responses(plan, _batches_by_condition(plan, batches), folder, {}))
         decision = decide(responses, decision, band_hz, asked.tolerance)
@@ -143,17 +147,45 @@ def _measure_all(
     return batches, {v.op_id: certificate(v, asked, plan.f1_hz, n_rounds) for v in decision.verdicts}
 
 
+BatchesOf = Callable[[Sequence[Frequency]], list[Batch]]
+"""The batches of some points, at the amplitude that is theirs."""
+
+
+def _at_one_amplitude(plan: Plan) -> BatchesOf:
+    return lambda points: list(replace(plan, points=tuple(points)).batches())
+
+
+def _at_balanced_amplitudes(plan: Plan, folder: Path, bring: Callable[..., None]) -> BatchesOf:
+    """Sweep the pilots, and let them speak for every point."""
+    asked = pilots(plan)
+    steps = [list(part.batches()) for part in asked.plans]
+    bring(plan, [batch for step in steps for batch in step], report=lambda done, total, share: None)
+    ladder = [
+        {op_id: _rows(folder, batches) for op_id, batches in _batches_by_condition(plan, step).items()}
+        for step in steps
+    ]
+    levels = chosen(asked, ladder)
+    return lambda points: [batch for part in parts(plan, points, asked, levels) for batch in part.batches()]
+
+
 def _further(report: Report, before: int, most: int) -> Report:
     """Progress of one round as that of the whole, which is as much as ``most`` points."""
     return lambda done, total, share: report(before + done, most, (before + done) / most)
 
 
 def _measure_missing(
-    plan: Plan, plant: Plant, folder: Path, jobs: int, backend: str, scheduler: str | None, report: Report
+    plan: Plan,
+    batches: Sequence[Batch],
+    plant: Plant,
+    folder: Path,
+    jobs: int,
+    backend: str,
+    scheduler: str | None,
+    report: Report,
 ) -> None:
-    """Bring every shard of the plan into the folder."""
-    total, work = len(plan.conditions) * len(plan.points), _work(plan.points) * len(plan.conditions)
-    missing = [batch for batch in plan.batches() if shards.read(folder, batch.key) is None]
+    """Bring the shard of every batch into the folder."""
+    total, work = sum(len(batch.points) for batch in batches), sum(_work(batch.points) for batch in batches)
+    missing = [batch for batch in batches if shards.read(folder, batch.key) is None]
     done = total - sum(len(batch.points) for batch in missing)
     left = sum(_work(batch.points) for batch in missing)
     report(done, total, 1.0 - left / work)
@@ -294,13 +326,15 @@ def _responses(
     plan: Plan, by_condition: dict[str, list[Batch]], folder: Path, statuses: dict[str, int]
 ) -> Iterator[FrequencyResponse]:
     for op_id, batches in by_condition.items():
-        rows = judged(
-            sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz),
-            plan.nonlinear_above,
-        )
+        rows = judged(_rows(folder, batches), plan.nonlinear_above)
         for row in rows:
             statuses[row.status] = statuses.get(row.status, 0) + 1
         yield response_of(plan, op_id, rows)
+
+
+def _rows(folder: Path, batches: Sequence[Batch]) -> list[Row]:
+    """Rows of some batches, ascending in frequency."""
+    return sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz)
 
 
 def _shard(folder: Path, batch: Batch) -> BatchResult:

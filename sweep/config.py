@@ -23,11 +23,9 @@ Keys = tuple[str | int, ...]
 
 MAX_POINTS = 1_000_000
 MAX_AMPLITUDE_PU = 0.2
+AUTO_LIMIT_PU = 0.02
+PERIOD_S = 1.0
 PROBLEMS_SHOWN = 20
-
-_PLANNED: dict[Keys, tuple[str, ...]] = {
-    ("injection", "amplitude_pu"): ("auto",),
-}
 
 # The description of a field says what is needed; messages print it.
 Text = Annotated[str, Field(min_length=1)]
@@ -135,10 +133,22 @@ class InjectionSection(_Section):
     signal: Literal["tone", "multisine", "prbs", "qrb", "chirp"] = Field(
         default="tone", description='"tone", "multisine", "prbs", "qrb" or "chirp"'
     )
-    period_s: Positive = Field(default=1.0, description="a number above 0, in s, the period of a broadband signal")
-    amplitude_pu: Annotated[Positive, Field(le=MAX_AMPLITUDE_PU)] = Field(
-        default=0.0005, description=f"a number above 0 and at most {MAX_AMPLITUDE_PU:g}, in pu (peak over rated peak)"
+    period_s: Positive | None = Field(
+        default=None, description="a number above 0, in s, the period of a broadband signal (1 s unless given)"
     )
+    amplitude_pu: Annotated[Positive, Field(le=MAX_AMPLITUDE_PU)] | Literal["auto"] = Field(
+        default=0.0005,
+        description=f'a number above 0 and at most {MAX_AMPLITUDE_PU:g}, in pu (peak over rated peak), or "auto"',
+    )
+    amplitude_max_pu: Annotated[Positive, Field(le=MAX_AMPLITUDE_PU)] | None = Field(
+        default=None,
+        description=f'a number above 0 and at most {MAX_AMPLITUDE_PU:g}, in pu, the limit of "auto"',
+    )
+
+    @property
+    def largest_pu(self) -> float:
+        """The amplitude, or the limit of an automatic one (pu)."""
+        return (self.amplitude_max_pu or AUTO_LIMIT_PU) if self.amplitude_pu == "auto" else self.amplitude_pu
 
 
 class SourceSection(_Section):
@@ -395,14 +405,18 @@ def _number(value: Any) -> float | None:
 
 def _field_problems(error: ValidationError) -> list[_Problem]:
     """What single fields have against their values; "missing" gives way to "did you mean"."""
-    found = [_field_problem(each) for each in error.errors(include_url=False)]
+    found = list(dict.fromkeys(_field_problem(each) for each in error.errors(include_url=False)))
     suggested = {(*problem.keys[:-1], suggestion) for problem, suggestion in found if suggestion}
     return [problem for problem, _ in found if not (problem.keys in suggested and problem.text.startswith("missing"))]
 
 
+_BRANCHES = ("constrained-float", "literal['auto']")
+"""What pydantic adds to the place of a value that may be of two kinds."""
+
+
 def _field_problem(error: Any) -> tuple[_Problem, str | None]:
     """One problem, and the key that may have been meant."""
-    keys: Keys = tuple(error["loc"])
+    keys: Keys = tuple(part for part in error["loc"] if part not in _BRANCHES)
     if error["type"] == "extra_forbidden":
         text, suggestion = _unknown(keys)
         return _Problem(keys, text), suggestion
@@ -412,8 +426,6 @@ def _field_problem(error: Any) -> tuple[_Problem, str | None]:
     given = error["input"]
     if keys == ("operating_point",) and isinstance(given, Mapping):
         return _Problem(keys, "a section in single brackets; write [[operating_point]], there may be several"), None
-    if isinstance(given, str) and given in _PLANNED.get(keys, ()):
-        return _Problem(keys, f"{_shown(given)} is not in this version; needed: {needed}"), None
     return _Problem(keys, f"given {_shown(given)}; needed: {needed}"), None
 
 
@@ -469,6 +481,7 @@ def _contradictions(data: Mapping[str, Any]) -> Iterator[_Problem]:
     yield from _points(points)
     if isinstance(data.get("sweep"), Mapping):
         yield from _frequencies(_section(data, "sweep"))
+        yield from _signal(_section(data, "sweep"), _section(data, "injection"))
     yield from _source(_section(data, "source"), _section(data, "injection"), points)
 
 
@@ -542,6 +555,17 @@ def _adaptive(sweep: Mapping[str, Any]) -> Iterator[_Problem]:
     elif adaptive and points is not None and 2 <= points < MIN_ADAPTIVE_POINTS:
         needed = f"at least {MIN_ADAPTIVE_POINTS}, the most points an adaptive grid may take"
         yield _Problem(("sweep", "points"), f"given {points:g}; needed: {needed}")
+
+
+def _signal(sweep: Mapping[str, Any], injection: Mapping[str, Any]) -> Iterator[_Problem]:
+    """A broadband signal plays all its lines at once: there is nothing to adapt."""
+    signal = injection.get("signal", "tone")
+    if sweep.get("spacing") == "adaptive" and signal != "tone":
+        yield _Problem(("sweep", "spacing"), f'given "adaptive" with a {signal}; needed: signal = "tone"')
+    if injection.get("period_s") is not None and signal == "tone":
+        yield _Problem(("injection", "period_s"), "given, but a tone's window follows from its frequency; leave it out")
+    if injection.get("amplitude_max_pu") is not None and injection.get("amplitude_pu") != "auto":
+        yield _Problem(("injection", "amplitude_max_pu"), 'given, but it goes with amplitude_pu = "auto" alone')
 
 
 def _increasing(f_hz: Any) -> Iterator[_Problem]:

@@ -144,6 +144,8 @@ def sweep_with_damping(
         "damping_resonance_hz": f_r_hz,
     }
     data["plant"]["parameters"] = {**data["plant"].get("parameters", {}), **damping}
+    if data["injection"]["amplitude_pu"] == "auto":  # devices with a measurement port are quiet: the default will do
+        data["injection"] = {key: value for key, value in data["injection"].items() if not key.startswith("amplitude")}
     data["operating_point"] = [point for point in data["operating_point"] if point["id"] == op_id]
     damped = Config.from_dict(data)
     try:

@@ -57,7 +57,7 @@ class Children:
             return self._ask(batch)
         except ChildFailed as failure:
             if len(batch.points) == 1:
-                return failed_batch(self._plan, batch, "failed", str(failure))
+                return failed_batch(self._plan.at(batch.amplitude_pu), batch, "failed", str(failure))
         parts = [self.measure(replace(batch, points=(point,))) for point in batch.points]
         condition = next((part.condition for part in parts if part.condition), {})
         return BatchResult(tuple(row for part in parts for row in part.rows), condition)

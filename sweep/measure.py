@@ -46,6 +46,7 @@ def measure(plant: Plant, plan: Plan, batch: Batch) -> BatchResult:
     batch : Batch
         One operating point and some of its frequencies.
     """
+    plan = plan.at(batch.amplitude_pu)
     try:
         base = baseline(plant, plan, batch)
     except NotSettled as refusal:

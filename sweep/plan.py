@@ -8,7 +8,7 @@ on disk; which points share a batch follows from the plan alone, never from how 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -138,12 +138,15 @@ class Batch:
         Operating point.
     points : tuple of Frequency
         Neighbours in window length, not in frequency.
+    amplitude_pu : float
+        Peak of its tones, or of its signal (pu).
     key : str
         Hash of everything the result depends on: the name of its shard.
     """
 
     condition: Condition
     points: tuple[Frequency, ...]
+    amplitude_pu: float
     key: str
 
 
@@ -175,6 +178,8 @@ class Plan:
         Peak of a tone, or of the signal (V or A).
     probes : frozenset of float
         Frequencies (Hz) of the points that are swept at `PROBE_AMPLITUDE` as well.
+    automatic : bool
+        Whether ``amplitude_pu`` is a limit, and pilots find the amplitude below it.
     amplitude_pu, tolerance, uncertainty, nonlinear_above, max_simulated_s : float
         From the configuration.
     batch_points : int
@@ -204,6 +209,7 @@ class Plan:
     amplitude: float
     probes: frozenset[float]
     amplitude_pu: float
+    automatic: bool
     tolerance: float
     uncertainty: float
     nonlinear_above: float
@@ -268,7 +274,13 @@ class Plan:
         groups = [self.points] if self.signal is not None else _alike(self.points, self.batch_points)
         for condition in self.conditions:
             for group in groups:
-                yield Batch(condition, group, self._key(condition, group))
+                yield Batch(condition, group, self.amplitude_pu, self._key(condition, group))
+
+    def at(self, amplitude_pu: float) -> Plan:
+        """The plan at another amplitude."""
+        if amplitude_pu == self.amplitude_pu:
+            return self
+        return replace(self, amplitude=self.amplitude * amplitude_pu / self.amplitude_pu, amplitude_pu=amplitude_pu)
 
     def _key(self, condition: Condition, points: tuple[Frequency, ...]) -> str:
         return content_hash(
@@ -336,9 +348,10 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         source=source,
         kind=config.injection.kind,
         signal=signal,
-        amplitude=config.injection.amplitude_pu * peak,
+        amplitude=config.injection.largest_pu * peak,
         probes=frozenset() if signal is not None else frozenset(_probes(points, config.sweep.probes)),
-        amplitude_pu=config.injection.amplitude_pu,
+        amplitude_pu=config.injection.largest_pu,
+        automatic=config.injection.amplitude_pu == "auto",
         tolerance=config.sweep.tolerance,
         uncertainty=config.sweep.uncertainty,
         nonlinear_above=config.sweep.nonlinear_above,

@@ -45,9 +45,9 @@ def _plays(plan: Plan, signal: Signal) -> Iterator[str]:
 def _further_rounds(plan: Plan) -> Iterator[str]:
     if plan.adaptive is not None:
         yield (
-            f"this is the first round of an adaptive grid; further ones follow where the interpolation is unsure, until "
-            f"it is certified to {plan.adaptive.tolerance:g} or there are {plan.adaptive.most_points} points; what "
-            "follows below is said of the first round"
+            f"this is the first round of an adaptive grid; further ones follow where the interpolation is unsure, "
+            f"until it is certified to {plan.adaptive.tolerance:g} or there are {plan.adaptive.most_points} points; "
+            "what follows below is said of the first round"
         )
 
 
@@ -64,6 +64,8 @@ def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
 def _totals(plan: Plan, plant: Plant, jobs: int) -> Iterator[str]:
     unit = "V" if plan.kind == "series_voltage" else "A"
     yield f"{plan.n_shots} shots of {plan.amplitude:.4g} {unit} peak ({plan.amplitude_pu:g} pu), {plan.kind}"
+    if plan.automatic:
+        yield "the amplitude is a limit: a few pilot shots, which are not counted here, find the one below it per band"
     if plan.probes:
         yield f"of these, {2 * len(plan.probes) * len(plan.conditions)} at {PROBE_AMPLITUDE:g} of that, for linearity"
     yield f"about {plan.simulated_s:.4g} simulated s, step {plan.dt_s * 1e6:.4g} us"

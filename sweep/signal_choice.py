@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .config import PERIOD_S
 from .grid import LISTED_SHIFT, Frequency
 from .lines import SignalError, odd_lines
 from .signals import Signal, chirp, coherent_blocks, multisine, prbs, qrb, register_order, residue_length
@@ -27,7 +28,7 @@ def broadband(
     SignalError
         If the signal cannot resolve or reach what is asked, with the way out.
     """
-    period_s, wanted = injection.period_s, _wanted(sweep)
+    period_s, wanted = injection.period_s or PERIOD_S, _wanted(sweep)
     if np.any(np.abs(wanted - f1_hz) <= 1e-9 * f1_hz):
         raise SignalError(f"{f1_hz:g} Hz is the fundamental itself: the perturbation cannot be told from it there")
     if injection.signal == "multisine":
@@ -37,10 +38,10 @@ def broadband(
         signal = _dense(injection.signal, period_s, np.abs(wanted - f1_hz))
         cycles = _nearest((wanted - f1_hz) * period_s, signal)
     blocks = coherent_blocks(signal, f1_hz, dt_s)
-    if injection.amplitude_pu * signal.weakest < MIN_PER_LINE:
+    if injection.largest_pu * signal.weakest < MIN_PER_LINE:
         raise SignalError(
-            f"amplitude_pu = {injection.amplitude_pu:g} leaves {injection.amplitude_pu * signal.weakest:.1g} pu for a "
-            f"line of the {injection.signal}; {MIN_PER_LINE:g} pu is needed: raise it, or ask for fewer points"
+            f"a peak of {injection.largest_pu:g} pu leaves {injection.largest_pu * signal.weakest:.1g} pu for a line "
+            f"of the {injection.signal}; {MIN_PER_LINE:g} pu is needed: raise the amplitude, or ask for fewer points"
         )
     f1_cycles = round(f1_hz * period_s)
     points = [Frequency(float((k + f1_cycles) / period_s), blocks, int(k) + f1_cycles) for k in cycles]

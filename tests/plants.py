@@ -305,3 +305,14 @@ class SampledState(NamedTuple):
     hold: complex
     v_0: float
     i_ref: float
+
+
+class NoisyBentBranch(NoisyBranch):
+    """Noise and a saturation: small tones drown, large ones are bent."""
+
+    def __init__(self, level: float = 1e-3, limit_pu: float = 4e-3, seed: int = 0):
+        super().__init__(level, seed=seed)
+        self.bend = BentBranch("saturation", limit_pu)
+
+    def heard(self, job, record):
+        return super().heard(job, self.bend.bent(job.state, record))

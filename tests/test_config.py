@@ -65,7 +65,11 @@ def problems(path: Path, *overrides: str) -> list[str]:
 def test_defaults_are_filled_in(write: Write) -> None:
     config = load_config(write(GOOD))
     assert (config.sweep.spacing, config.sweep.tolerance, config.sweep.max_simulated_s) == ("log", 1e-5, 60.0)
-    assert config.injection.model_dump() == {"kind": "series_voltage", "signal": "tone", "amplitude_pu": 0.0005}
+    assert config.injection.model_dump(exclude_none=True) == {
+        "kind": "series_voltage",
+        "signal": "tone",
+        "amplitude_pu": 0.0005,
+    }
     assert config.source.kind == "ideal"
     assert config.plant.isolate is None
     assert config.plant.timeout_s is None
@@ -203,7 +207,12 @@ REFUSALS: list[tuple[str, str, str, str]] = [
     ("one point", "points = 100", "points = 1", r"^15: sweep.points: given 1; needed: a whole number from 2"),
     ("too many", "points = 100", "points = 100000000", r"^15: sweep.points: given 100000000; needed: .* to 1000000"),
     ("both", "points = 100", "points = 100\nf_hz = [3]", r"^15: sweep.points: given beside f_hz; needed: either"),
-    ("spacing", "points = 100", 'points = 100\nspacing = "lin"', r'^16: sweep.spacing: given "lin"; needed: "log" or'),
+    (
+        "spacing",
+        "points = 100",
+        'points = 100\nspacing = "lin"',
+        r'^16: sweep.spacing: given "lin"; needed: "log", "linear"',
+    ),
     (
         "tolerance",
         "points = 100",
@@ -225,17 +234,33 @@ ADDED: list[tuple[str, str, str, str]] = [
     (
         "adaptive",
         GOOD,
-        'spacing = "adaptive"',
-        r'sweep.spacing: "adaptive" is not in this version; needed: "log" or "linear"',
+        'spacing = "adaptive"\n[injection]\nsignal = "qrb"',
+        r'sweep.spacing: given "adaptive" with a qrb; needed: signal = "tone"',
     ),
     (
-        "prbs",
+        "noise",
         GOOD,
-        '[injection]\nsignal = "prbs"',
-        r'^17: injection.signal: "prbs" is not in this version; needed: "tone"',
+        '[injection]\nsignal = "noise"',
+        r'^17: injection.signal: given "noise"; needed: "tone", "multisine", "prbs", "qrb" or "chirp"',
     ),
-    ("noise", GOOD, '[injection]\nsignal = "noise"', r'^17: injection.signal: given "noise"; needed: "tone"'),
-    ("auto", GOOD, '[injection]\namplitude_pu = "auto"', r'injection.amplitude_pu: "auto" is not in this version'),
+    (
+        "period of a tone",
+        GOOD,
+        "[injection]\nperiod_s = 1.0",
+        r"^17: injection.period_s: given, but a tone's window follows from its frequency",
+    ),
+    (
+        "automatic",
+        GOOD,
+        '[injection]\namplitude_pu = "automatic"',
+        r'injection.amplitude_pu: given "automatic"; needed: a number above 0 .* or "auto"',
+    ),
+    (
+        "limit",
+        GOOD,
+        "[injection]\namplitude_max_pu = 0.01",
+        r'injection.amplitude_max_pu: given, but it goes with amplitude_pu = "auto" alone',
+    ),
     (
         "big",
         GOOD,

@@ -161,7 +161,7 @@ def test_a_point_is_the_same_to_the_last_bit_whatever_shares_its_batch():
     shuffled = [plan.points[k] for k in rng.permutation(len(plan.points))]
     for size in (1, 5, len(shuffled)):
         for first in range(0, len(shuffled), size):
-            batch = Batch(condition, tuple(shuffled[first : first + size]), "any")
+            batch = Batch(condition, tuple(shuffled[first : first + size]), plan.amplitude_pu, "any")
             for row in measure(plant, plan, batch).rows:
                 assert repr(row) == repr(together[row.f_hz])  # repr: NaN equals itself, and no bit is lost
 
