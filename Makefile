@@ -26,7 +26,7 @@ lint: $(READY)
 
 # The heavy trials: they rewrite the figures in docs/.
 evidence: $(READY)
-	$(BIN)/python -m pytest -m evidence
+	$(BIN)/python -m pytest -n 2 -m evidence
 
 bench: $(READY)
 	$(BIN)/python benchmarks/run_all.py

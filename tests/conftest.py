@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from pathlib import Path
 
 import pytest
@@ -11,28 +11,37 @@ PAGE = Path(__file__).parent.parent / "docs" / "evidence.md"
 HEAD = """# Evidence
 
 The heavy trials behind the figures of the other pages, as the last `make evidence` printed them. That command
-rewrites this page; a test that fails stops it from doing so.
+rewrites this page; a test that fails stops it from doing so. A run of some of the trials
+(`python -m pytest -m evidence tests/test_noise.py`) rewrites their sections.
 """
 
 _said: dict[str, str] = {}
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
-    report = yield
-    if report.when == "call" and item.get_closest_marker("evidence") and report.passed:
-        _said[item.nodeid] = report.capstdout.strip()
-    return report
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.when == "call" and "evidence" in report.keywords and report.passed:
+        _said[report.nodeid] = report.capstdout.strip()
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    """Only a whole and green evidence run speaks for the pages."""
-    config = session.config
-    whole = config.option.markexpr == "evidence" and not config.option.keyword
-    if whole and config.args_source is pytest.Config.ArgsSource.TESTPATHS and exitstatus == 0:
-        PAGE.write_text(HEAD + "".join(_section(name, text) for name, text in sorted(_said.items()) if text))
+    """Only a green run of evidence speaks for the pages."""
+    if session.config.option.markexpr != "evidence" or exitstatus != 0 or hasattr(session.config, "workerinput"):
+        return
+    fresh = {_title(name): _section(name, text) for name, text in _said.items() if text}
+    whole = session.config.args_source is pytest.Config.ArgsSource.TESTPATHS and not session.config.option.keyword
+    kept = {} if whole else _sections(PAGE.read_text("utf-8"))
+    PAGE.write_text(HEAD + "".join(text for _, text in sorted((kept | fresh).items())), "utf-8")
+
+
+def _sections(page: str) -> dict[str, str]:
+    """Sections of the page by their title."""
+    parts = re.split(r"^## (.*)$", page, flags=re.MULTILINE)
+    return {title: f"\n## {title}\n\n{text.strip()}\n" for title, text in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def _title(name: str) -> str:
+    return name.partition("::")[2].replace("test_", "").replace("_", " ")
 
 
 def _section(name: str, text: str) -> str:
-    file, _, test = name.partition("::")
-    return f"\n## {test.replace('test_', '').replace('_', ' ')}\n\n`{file}`\n\n```\n{text}\n```\n"
+    return f"\n## {_title(name)}\n\n`{name.partition('::')[0]}`\n\n```\n{text}\n```\n"

@@ -165,7 +165,7 @@ class NoisyBranch(RLBranch):
     run_phasors = None
 
     def __init__(self, level: float = 1e-3, corner_hz: float = 300.0, seed: int = 0):
-        super().__init__()
+        super().__init__(dt_s=200e-6)  # the branch is exact at any step, and noise costs by the sample
         self.level, self.pole, self.seed = level, float(np.exp(-2.0 * np.pi * corner_hz * self.dt_s)), seed
 
     def run(self, jobs, n_steps):
