@@ -182,8 +182,8 @@ class Plan:
         Whether ``amplitude_pu`` is a limit, and pilots find the amplitude below it.
     amplitude_pu, tolerance, uncertainty, nonlinear_above, max_simulated_s : float
         From the configuration.
-    batch_points : int
-        Points of a batch.
+    batch_pairs : int
+        Pairs of shots of a batch.
     isolate : bool
         Whether the plant runs in processes of its own.
     timeout_s : float or None
@@ -214,7 +214,7 @@ class Plan:
     uncertainty: float
     nonlinear_above: float
     max_simulated_s: float
-    batch_points: int
+    batch_pairs: int
     isolate: bool
     timeout_s: float | None
     configuration: Mapping[str, Any]
@@ -271,7 +271,7 @@ class Plan:
 
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
-        groups = [self.points] if self.signal is not None else _alike(self.points, self.batch_points)
+        groups = [self.points] if self.signal is not None else _alike(self.points, self.probes, self.batch_pairs)
         for condition in self.conditions:
             for group in groups:
                 yield Batch(condition, group, self.amplitude_pu, self._key(condition, group))
@@ -356,7 +356,7 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         uncertainty=config.sweep.uncertainty,
         nonlinear_above=config.sweep.nonlinear_above,
         max_simulated_s=config.sweep.max_simulated_s,
-        batch_points=_batch_points(len(points), len(conditions), plant),
+        batch_pairs=_batch_pairs(len(points), len(conditions), plant),
         isolate=not is_built_in(spec.id) if config.plant.isolate is None else config.plant.isolate,
         timeout_s=config.plant.timeout_s,
         configuration=config.to_dict(),
@@ -429,23 +429,27 @@ def _check_range(conditions: tuple[Condition, ...], plant: Plant) -> None:
                 )
 
 
-def _alike(points: tuple[Frequency, ...], most: int) -> list[tuple[Frequency, ...]]:
-    """Groups of up to ``most`` points, longest windows first.
+def _alike(points: tuple[Frequency, ...], probes: frozenset[float], most: int) -> list[tuple[Frequency, ...]]:
+    """Groups of up to ``most`` pairs of shots, longest windows first; a probe takes two.
 
     Beyond the first few, which a compiled plant steps for the price of one, none is much shorter than
     its group's longest.
     """
     groups: list[list[Frequency]] = []
+    pairs = 0
     for point in sorted(points, key=lambda point: (-point.window_blocks, point.f_hz)):
+        of_point = 1 + (point.f_hz in probes)
         alike = groups and point.window_blocks >= ALIKE * groups[-1][0].window_blocks
-        if groups and len(groups[-1]) < (most if alike else min(most, TOGETHER)):
+        if groups and pairs + of_point <= (most if alike else min(most, TOGETHER)):
             groups[-1].append(point)
+            pairs += of_point
         else:
             groups.append([point])
+            pairs = of_point
     return [tuple(group) for group in groups]
 
 
-def _batch_points(n_points: int, n_conditions: int, plant: Plant) -> int:
+def _batch_pairs(n_points: int, n_conditions: int, plant: Plant) -> int:
     """Small batches keep two cores busy and lose little; big ones settle and store less often."""
     if not isinstance(plant, PhasorPlant):
         return 1
