@@ -231,6 +231,35 @@ def verify(
         draw(result, plot)
 
 
+@app.command()
+def grid(
+    campaign: CampaignFile,
+    signal_kind: Annotated[str, typer.Option("--signal", metavar="KIND", help="multisine or qrb.")] = "multisine",
+    amplitude_pu: Annotated[float, typer.Option(help="Peak of the current over the rated peak.")] = 0.02,
+    duration_s: Annotated[float, typer.Option(help="Length of the record (s).")] = 1.0,
+    op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="GRID.json", help="Write JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="R and X of every line: .png, .svg, .pdf.")] = None,
+    settings: Settings = None,
+) -> None:
+    """R + jX of the grid behind the PCC, identified while the plant runs on it."""
+    from .grid_probe import format_report, make_probe, probe_grids, to_json, write_json
+
+    _check_outputs(output, plot)
+    planned, plant = _planned(campaign, settings)
+    probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
+    seen = probe_grids(plant, planned, probe, op)
+    typer.echo(format_report(seen, probe, plant.f1_hz))
+    if output is not None:
+        write_json(to_json(seen, probe, planned), output)
+    if plot is not None:
+        from .grid_plot import plot as draw
+
+        draw(seen, plot)
+    if any(each.reason for each in seen):
+        raise typer.Exit(NOT_ALL_OK)
+
+
 class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 
