@@ -31,8 +31,8 @@ NEIGHBOURS = 16
 DISTURBED = 15.0
 """A silent line with this many times the usual noise power of its neighbours holds something else than noise."""
 
-ROUNDS = 12
-"""Rounds of weighing, fitting and estimating the transient; three digits are gained in each."""
+ROUNDS = 8
+"""Rounds of weighing, fitting and estimating the transient; the last digits stand after four."""
 
 COHERENT = 1e-6
 """Largest part of a cycle by which a window may miss whole cycles."""

@@ -66,6 +66,7 @@ def noisy(record: Record, level: float, corner_hz: float, seed: int) -> Record:
     return replace(record, v=v, i=i)
 
 
+@cache
 def trials(grid: tuple[float, float], kind: str, level: float, corner_hz: float, n: int) -> list[GridImpedance]:
     """As `identify_grid`, the injected current being summed once for all."""
     quiet, injection = quiet_record(*grid, kind), injection_of(kind)
@@ -169,12 +170,12 @@ def test_what_is_over_a_whole_period_is_cut_off():
 # With noise
 
 
-@pytest.mark.parametrize(("kind", "corner_hz"), [("multisine", 1e4), ("qrb", 300.0)])
+@pytest.mark.parametrize(("kind", "corner_hz"), [("multisine", 1e5), ("qrb", 300.0)])
 def test_intervals_hold_the_truth_as_often_as_they_say(kind, corner_hz):
-    """Of 250 trials 95 % +- 4.1 % (three sigma of the count): the thinned twin of the evidence below."""
+    """Of 200 trials 95 % +- 4.6 % (three sigma of the count): the thinned twin of the evidence below."""
     grid = GRIDS["Table I, SCR 1.2"]
-    found = trials(grid, kind, 0.005, corner_hz, 250)
-    assert all(0.909 <= share <= 0.991 for share in covered(found, *grid))
+    found = trials(grid, kind, 0.005, corner_hz, 200)
+    assert all(0.904 <= share <= 0.996 for share in covered(found, *grid))
     assert np.mean([each.is_rl for each in found]) > 0.98
     scatter = np.concatenate([np.abs(each.z - each.fitted(each.f_hz)) ** 2 / each.z_std**2 for each in found])
     assert np.mean(scatter) == pytest.approx(1.0 + 1.0 / 15.0, abs=0.03)  # E[1/s^2] of 16 neighbours is 16/15
@@ -183,7 +184,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(kind, corner_hz):
 def test_half_a_percent_of_noise_leaves_the_fit_within_a_percent():
     """Of white noise, 95 of 100 times: from 20 Hz on; at 10 Hz, where |Z| is mostly R, within 1.7 %."""
     grid = GRIDS["Table I, SCR 1.2"]
-    worst = np.quantile(errors(trials(grid, "multisine", 0.005, 1e5, 250), *grid), 0.95, axis=0)
+    worst = np.quantile(errors(trials(grid, "multisine", 0.005, 1e5, 200), *grid), 0.95, axis=0)
     assert np.all(worst <= [0.017, 0.01, 0.01, 0.01, 0.01])
 
 
@@ -260,7 +261,7 @@ def flat(n: int = 20_000) -> Record:
         (
             flat(4000),
             Injection("shunt_current", tuple(Tone(float(f), 1.0) for f in range(5, 300, 5))),
-            "0 silent lines between 50 injected ones; 32 are needed.*leave every second line out",
+            "has 18 silent lines between 54 injected ones; 32 are needed.*leave every second line out",
         ),
     ],
 )
@@ -369,19 +370,22 @@ def test_an_ideal_source_has_no_grid_behind_it(tmp_path):
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("kind", ["multisine", "qrb"])
-def test_the_grid_is_found_within_a_percent_where_noise_allows(kind):
-    """2,000 trials each, 1 s, peak 0.02 pu; noise: rms of the space vector over the rated peak, on v and i."""
+def test_how_well_the_grid_is_found(kind):
+    """1 s, peak 0.02 pu, 0.5 % of noise: rms of its space vector over the rated peak, on v and on i.
+
+    Of 2,000 trials 93 to 97 % of the intervals must hold the truth, of 500 on the other grids 92 to 98 %.
+    """
     print(f"{kind}, 1 s, peak 0.02 pu; |dZ|/|Z| in % at 10, 20, 50, 100, 200 Hz, and 95 % intervals that hold")
-    print(f"{'grid':<18}{'noise':>8}{'corner':>9}  {'median':<32}{'95th percentile':<32}{'R':>7}{'X':>7}{'R-L':>7}")
-    for name, grid in GRIDS.items():
-        for level, corner_hz in ((0.005, 1e5), (0.005, 300.0)):
-            found = trials(grid, kind, level, corner_hz, 2000)
-            share_r, share_x = covered(found, *grid)
-            relative = 100.0 * errors(found, *grid)
-            middle, worst = (" ".join(f"{e:5.2f}" for e in np.quantile(relative, q, axis=0)) for q in (0.5, 0.95))
-            rl = np.mean([each.is_rl for each in found])
-            corner = "white" if corner_hz > 2e4 else f"{corner_hz:g} Hz"
-            print(f"{name:<18}{level:>8.2%}{corner:>9}  {middle:<32}{worst:<32}{share_r:7.1%}{share_x:7.1%}{rl:7.1%}")
-            assert 0.93 <= share_r <= 0.97
-            assert 0.93 <= share_x <= 0.97
-            assert rl > 0.995
+    print(f"{'grid':<18}{'noise':>8}{'trials':>8}  {'median':<31}{'95th percentile':<31}{'R':>6}{'X':>7}{'R-L':>7}")
+    table_i, *others = GRIDS
+    cases = [(table_i, 1e5, 2000, 0.02), (table_i, 300.0, 2000, 0.02), *((name, 1e5, 500, 0.03) for name in others)]
+    for name, corner_hz, n, room in cases:
+        grid = GRIDS[name]
+        found = trials(grid, kind, 0.005, corner_hz, n)
+        shares, rl = covered(found, *grid), np.mean([each.is_rl for each in found])
+        relative = 100.0 * errors(found, *grid)
+        middle, worst = (" ".join(f"{e:5.2f}" for e in np.quantile(relative, q, axis=0)) for q in (0.5, 0.95))
+        noise = "white" if corner_hz > 2e4 else f"{corner_hz:g} Hz"
+        print(f"{name:<18}{noise:>8}{n:>8}  {middle:<31}{worst:<31}{shares[0]:6.1%}{shares[1]:7.1%}{rl:7.1%}")
+        assert all(abs(share - 0.95) <= room for share in shares)
+        assert rl > 0.99
