@@ -47,3 +47,12 @@ def test_a_simulator_from_elsewhere_is_swept_from_cold(tmp_path: Path) -> None:
     campaign = str(EXAMPLES / "dpsim_plant.toml")
     output_of(SEQSWEEP, "run", campaign, "-o", table, "--set", "sweep.f_hz=[80.0]", cwd=tmp_path)
     output_of(SEQSWEEP, "validate", table, cwd=tmp_path)
+
+
+def test_the_grid_is_found_in_a_noisy_second(tmp_path: Path) -> None:
+    picture = tmp_path / "grid.png"
+    said = output_of(sys.executable, str(EXAMPLES / "identify_the_grid.py"), str(picture), cwd=tmp_path)
+    for found, std, true in re.findall(r"= (\S+) \+- (\S+) ohm.*true (\S+)", said):
+        assert abs(float(found) - float(true)) < 4.0 * float(std)
+    assert "an R-L branch: True" in said
+    assert picture.stat().st_size > 10_000

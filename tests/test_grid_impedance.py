@@ -181,6 +181,23 @@ def test_intervals_hold_the_truth_as_often_as_they_say(kind, corner_hz):
     assert np.mean(scatter) == pytest.approx(1.0 + 1.0 / 15.0, abs=0.03)  # E[1/s^2] of 16 neighbours is 16/15
 
 
+def test_no_estimator_could_do_much_better_with_the_same_record():
+    """The Cramer-Rao bound for a device nobody knows: 2 sum |I|^2 / (s_v^2 + |Z|^2 s_i^2), I without noise.
+
+    200 trials tell a standard deviation to 5 %; weights from 16 neighbours cost 4 %.
+    """
+    grid, injection = GRIDS["Table I, SCR 1.2"], injection_of()
+    quiet, at = quiet_record(*grid), np.array([round(tone.f_hz) for tone in injection.tones])
+    n = len(quiet.v)
+    current = np.fft.fft(injected_current(quiet, injection) - quiet.i)[at] / n
+    s_v, s_i = (0.005 * x / np.sqrt(n) for x in (TURBINE.rating.peak_voltage_v, TURBINE.rating.peak_current_a))
+    information = 2.0 * np.abs(current) ** 2 / (s_v**2 + np.abs(grid[0] + 1j * at / F1_HZ * grid[1]) ** 2 * s_i**2)
+    bounds = np.sum(information) ** -0.5, np.sum((at / F1_HZ) ** 2 * information) ** -0.5
+    found = trials(grid, "multisine", 0.005, 1e5, 200)
+    reached = np.std([each.r_ohm for each in found]), np.std([each.x_ohm for each in found])
+    assert np.array(reached) / bounds == pytest.approx(1.04, abs=0.15)
+
+
 def test_half_a_percent_of_noise_leaves_the_fit_within_a_percent():
     """Of white noise, 95 of 100 times: from 20 Hz on; at 10 Hz, where |Z| is mostly R, within 1.7 %."""
     grid = GRIDS["Table I, SCR 1.2"]

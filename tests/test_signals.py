@@ -357,3 +357,35 @@ def test_a_weak_line_is_refused_with_the_peak_it_needs():
     require_amplitude(signal, 1.0, signal.weakest)
     with pytest.raises(SignalError, match=r"for the weakest of 200 tones; 0\.1 is needed: raise the peak to 2\.01"):
         require_amplitude(signal, 1.0, 0.1)
+
+
+# Evidence
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("period_s", [1.0, 2.0])
+def test_what_each_signal_leaves_for_its_lines(period_s):
+    """Multisines at the odd lines of points from 1 Hz to 1 kHz, others from 1 to 950 Hz beside f1."""
+    band, thirty = (1.0, 950.0), np.geomspace(1.0, 1000.0, 30)
+    length, half = (residue_length(part * period_s, 950.0) for part in (1.0, 0.5))
+    bits = 2 ** register_order(period_s, 950.0) - 1
+    signals = {
+        "multisine, 100 points": multisine(odd_lines(LOG_POINTS - F1_HZ, period_s).played, period_s),
+        "multisine, 30 points": multisine(odd_lines(thirty - F1_HZ, period_s).played, period_s),
+        "multisine, all odd": multisine(np.arange(1, int(950 * period_s), 2), period_s),
+        f"qrb of {length}": qrb(length, length / period_s, band),
+        f"qrb of {half}, odd": qrb(half, 2 * half / period_s, band, odd=True),
+        f"prbs of {bits}": prbs(register_order(period_s, 950.0), bits / period_s, band),
+        "chirp": chirp(period_s, band),
+        "chirp, odd": chirp(period_s, band, odd=True),
+        "chirp, log": chirp(period_s, band, "log"),
+    }
+    print(f"period {period_s:g} s; tones in parts of the peak; raw peak: before it was made one")
+    print(f"{'signal':<24}{'lines':>7}{'crest':>7}{'weakest tone':>14}{'median tone':>13}{'raw peak':>10}")
+    for name, signal in signals.items():
+        middle = 0.5 * np.median(np.abs(signal.phasors))
+        print(
+            f"{name:<24}{len(signal.cycles):>7}{signal.crest:>7.2f}{signal.weakest:>14.2%}{middle:>13.2%}"
+            f"{signal.raw_peak:>10.2f}"
+        )
+        assert signal.crest < 3.0
