@@ -199,6 +199,8 @@ def grid_impedance(v: np.ndarray, i_grid: np.ndarray, dt_s: float, f1_hz: float,
     where <> is the product at the line less its mean over the silent neighbours, which is the noise's own. Re and
     Im do not mix, so R and L are not correlated.
     """
+    if len(v) != len(i_grid) or not (np.all(np.isfinite(v)) and np.all(np.isfinite(i_grid))):
+        raise GridImpedanceError(f"{len(v)} and {len(i_grid)} samples of v and i_grid; as many finite ones are needed")
     n = _coherent_samples(len(v), dt_s, f1_hz, lines_hz)
     lines = _lines(v[:n], i_grid[:n], dt_s, f1_hz, lines_hz)
     neighbours = _silent_neighbours(lines)
@@ -248,6 +250,10 @@ def _lines(v: np.ndarray, i: np.ndarray, dt_s: float, f1_hz: float, lines_hz: np
     cycles = np.round(np.fft.fftfreq(n, 1.0 / n)).astype(int)
     asked = np.round(lines_hz * n * dt_s).astype(int)
     own = round(f1_hz * n * dt_s)
+    if 2 * np.max(np.abs(asked)) >= n:
+        raise GridImpedanceError(
+            f"a line at {np.max(np.abs(lines_hz)):g} Hz needs more than two samples per cycle; the step is {dt_s:g} s"
+        )
     margin = min(own, 2 * NEIGHBOURS)
     kept = (cycles >= asked.min() - margin) & (cycles <= asked.max() + margin) & (cycles % own != 0)
     order = np.argsort(cycles[kept])
@@ -271,7 +277,14 @@ def _silent_neighbours(lines: _Lines) -> np.ndarray:
     silent, injected = np.flatnonzero(~lines.injected), np.flatnonzero(lines.injected)
     first = np.searchsorted(silent, injected) - NEIGHBOURS // 2
     first = np.clip(first, 0, len(silent) - NEIGHBOURS)
-    return silent[first[:, None] + np.arange(NEIGHBOURS)]
+    neighbours = silent[first[:, None] + np.arange(NEIGHBOURS)]
+    power = np.abs(lines.i) ** 2
+    if not np.sum(power[injected]) > np.sum(np.mean(power[neighbours], axis=1)):
+        raise GridImpedanceError(
+            "the current into the grid is no larger at the injected lines than beside them: the record does not hold "
+            "the injection, or its lines are others"
+        )
+    return neighbours
 
 
 # From lines to R and L
@@ -280,27 +293,27 @@ def _silent_neighbours(lines: _Lines) -> np.ndarray:
 def _fit(lines: _Lines, neighbours: np.ndarray) -> _Fit:
     at, w, power = lines.injected, 2.0 * np.pi * lines.f_hz, np.abs(lines.i) ** 2
     transient, noise = np.zeros(len(w), complex), np.ones(len(neighbours))
-    quiet = ~at
+    undisturbed = np.ones(neighbours.shape, bool)
     rounding = (np.finfo(float).eps * np.max(np.abs(lines.v))) ** 2
     for _ in range(ROUNDS):
         product, current, steep = (
-            x[at] - np.mean(x[neighbours], axis=1, where=quiet[neighbours])
+            x[at] - np.mean(x[neighbours], axis=1, where=undisturbed)
             for x in (np.conj(lines.i) * (lines.v - transient), power, w * power)
         )
         r_ohm = float(np.sum(product.real / noise) / np.sum(current / noise))
         l_h = float(np.sum(w[at] * product.imag / noise) / np.sum(w[at] * steep / noise))
         rest = lines.v - (r_ohm + 1j * w * l_h) * lines.i
-        scattered = np.abs(rest - transient) ** 2
-        usual = np.median(scattered[neighbours], axis=1) / np.log(2.0)  # power is distributed exponentially
-        quiet = ~at & (scattered <= DISTURBED * np.interp(w, w[at], usual))
-        transient = _transient(w, rest, quiet)
-        noise = np.mean(np.abs(rest - transient)[neighbours] ** 2, axis=1, where=quiet[neighbours])
+        scattered = np.abs(rest - transient)[neighbours] ** 2
+        usual = np.median(scattered, axis=1, keepdims=True) / np.log(2.0)  # power is distributed exponentially
+        undisturbed = scattered <= DISTURBED * usual
+        transient = _transient(w, rest, np.unique(neighbours[undisturbed]))
+        noise = np.mean(np.abs(rest - transient)[neighbours] ** 2, axis=1, where=undisturbed)
         noise = np.maximum(noise, rounding)
     return _Fit(r_ohm, l_h, transient, noise)
 
 
 def _transient(w: np.ndarray, rest: np.ndarray, quiet: np.ndarray) -> np.ndarray:
-    """What a transient leaves at every line (n,): a + j w b, fitted to the quiet lines.
+    """What a transient leaves at every line (n,): a + j w b, fitted to the lines at the indices ``quiet``.
 
     Integrating L di/dt over the window leaves L (i(T) - i(0))/T at every line alike; summing samples
     instead of integrating leaves half a sample of the jump, which j w L turns into the second term.

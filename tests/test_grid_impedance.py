@@ -27,7 +27,7 @@ from seqsweep.sweep.signals import tones
 from seqsweep.tuning.siso import parse_grid
 
 from .commands import call
-from .plants import NoisyBranch
+from .plants import LateBranch, NoisyBranch
 
 F1_HZ = 50.0
 TURBINE = ReferenceTurbine()
@@ -103,9 +103,12 @@ def test_the_turbine_tells_the_grid_it_stands_on(grid, kind):
     assert np.max(np.abs(found.z - found.fitted(found.f_hz)) / np.abs(found.z)) < 1e-3
 
 
-def test_another_plant_tells_it_too_up_to_the_warping_of_its_own_step():
-    """branch-v1 steps its grid by the trapezoidal rule: L grows by (pi f h)^2 / 3, 3e-4 at 200 Hz."""
-    branch = RLBranch()
+@pytest.mark.parametrize("branch", [RLBranch(), LateBranch()], ids=["at once", "after a while"])
+def test_another_plant_tells_it_too_up_to_the_warping_of_its_own_step(branch):
+    """branch-v1 steps its grid by the trapezoidal rule: L grows by (pi f h)^2 / 3, 3e-4 at 200 Hz.
+
+    A plant that waits to settle begins late: tones run in the plant's time, not the record's.
+    """
     state = branch.settle(OperatingPoint(0.0, 690.0), Source("thevenin", 0.05, 3e-4))
     ((_, record),) = branch.run([Job(state, injection_of())], 20_000)
     found = identify_grid(record, injection_of())
@@ -275,6 +278,17 @@ def flat(n: int = 20_000) -> Record:
         (flat(), Injection("shunt_current", ()), "no line was injected"),
         (flat(), Injection("shunt_current", (Tone(61.0001, 1.0),)), "no window of 0.5 to 1 s holds whole cycles"),
         (flat(), Injection("shunt_current", (Tone(150.0, 1.0),)), "is a multiple of f1 = 50 Hz"),
+        (flat(), Injection("shunt_current", (Tone(12_000.0, 1.0),)), "needs more than two samples per cycle"),
+        (
+            replace(flat(), v=flat(7).v, i=flat().i),
+            Injection("shunt_current", (Tone(61.0, 1.0),)),
+            "7 and 20000 samples of v and",
+        ),
+        (
+            replace(flat(), v=flat().v + np.nan),
+            Injection("shunt_current", (Tone(61.0, 1.0),)),
+            "finite ones are needed",
+        ),
         (
             flat(4000),
             Injection("shunt_current", tuple(Tone(float(f), 1.0) for f in range(5, 300, 5))),
@@ -285,6 +299,13 @@ def flat(n: int = 20_000) -> Record:
 def test_what_cannot_be_told_is_refused_with_the_way_out(record, injection, words):
     with pytest.raises(GridImpedanceError, match=words):
         identify_grid(record, injection)
+
+
+def test_lines_that_the_record_does_not_hold_are_refused():
+    record = noisy(quiet_record(*GRIDS["SCR 3"]), 0.005, 1e5, 0)
+    i_grid, even = injected_current(record, injection_of()) - record.i, np.arange(62.0, 180.0, 2.0)
+    with pytest.raises(GridImpedanceError, match="no larger at the injected lines than beside them"):
+        grid_impedance(record.v, i_grid, record.dt_s, record.f1_hz, even)
 
 
 def test_a_band_without_a_line_is_refused():
@@ -340,7 +361,8 @@ def test_the_command_prints_what_tune_takes_and_writes_what_it_saw(tmp_path):
 
 
 def test_a_noisy_plant_gets_errors_and_an_unstable_grid_its_reason(tmp_path):
-    file = campaign(tmp_path, "python:plants:NoisyTurbine", second="beyond", scale=1.4)
+    parameters = "[plant.parameters]\nlevel = 5e-3\ncorner_hz = 1e4"
+    file = campaign(tmp_path, "python:plants:NoisyTurbine", parameters, second="beyond", scale=1.4)
     done = call("grid", file, "--signal", "qrb", "-o", tmp_path / "grid.json")
     assert done.returncode == 1
     assert "beyond: diverged: the equilibrium is unstable" in done.stdout
