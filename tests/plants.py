@@ -156,8 +156,8 @@ class UnwillingBranch(RLBranch):
         raise RuntimeError("no licence server found")
 
 
-class NoisyBranch(RLBranch):
-    """The branch, measured with coloured noise: ``level`` is its rms over the peak of a rated waveform.
+class Noisy:
+    """A plant measured with coloured noise: ``level`` is its rms over the peak of a rated waveform.
 
     A pole at ``corner_hz`` colours it; the same job hears the same noise, another job another.
     """
@@ -187,6 +187,14 @@ class NoisyBranch(RLBranch):
         white = rng.normal(size=(n + 2000, 2)) @ [1.0, 1j]
         colour = lfilter([np.sqrt(0.5 * (1.0 - self.pole**2))], [1.0, -self.pole], white)
         return self.level * colour[2000:]
+
+
+class NoisyBranch(Noisy, RLBranch):
+    """The branch, measured with noise."""
+
+
+class NoisyTurbine(Noisy, ReferenceTurbine):
+    """The turbine, measured with noise."""
 
 
 class BentBranch(RLBranch):
