@@ -307,7 +307,7 @@ def test_some_odd_lines_and_every_even_line_stay_silent_for_detection():
     [
         (lambda: odd_lines(np.linspace(1.0, 20.0, 50), 1.0), "has 9 odd lines to play there, 2 Hz apart.*a period of"),
         (lambda: odd_lines(np.array([-1.0, 0.0, 1.0]), 1.0), "f1 itself is wanted"),
-        (lambda: odd_lines(np.array([3.0, 1.0]), 1.0), "ascend strictly"),
+        (lambda: odd_lines(np.array([3.0, 1.0]), 1.0), "at least one, and ascend"),
         (lambda: Signal("multisine", 1.0, [0, 1], [1.0, 1.0]), "is f1 itself: lines begin at 1/T"),
         (lambda: Signal("multisine", 1.0, [3, 1], [1.0, 1.0]), "cycles must ascend strictly"),
         (lambda: multisine([1, 3], 1.0, [1.0, 0.0]), "leave a line out instead"),
