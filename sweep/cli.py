@@ -252,7 +252,7 @@ def grid(
     typer.echo(format_report(seen, probe, plant.f1_hz))
     if output is not None:
         write_json(to_json(seen, probe, planned), output)
-    if plot is not None:
+    if plot is not None and any(each.found for each in seen):
         from .grid_plot import plot as draw
 
         draw(seen, plot)

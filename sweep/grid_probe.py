@@ -18,7 +18,8 @@ import numpy as np
 
 from ..identify.grid_impedance import GridImpedance, identify_grid
 from ..identify.table import atomic_file
-from ..plant.protocol import Injection, Job, NotSettled, Plant, Source
+from ..plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
+from .config import MAX_AMPLITUDE_PU
 from .grid import coherent_block
 from .lines import SignalError
 from .loadflow import reached
@@ -31,8 +32,6 @@ BAND_HZ = (10.0, 150.0)
 """Band of nu: what the PCC hears is from -100 to 40 and from 60 to 200 Hz where f1 is 50 Hz."""
 
 KINDS = ("multisine", "qrb")
-
-MAX_AMPLITUDE_PU = 0.2
 
 
 class ProbeError(ValueError):
@@ -141,23 +140,29 @@ def _chosen(plan: Plan, op_ids: Sequence[str] | None) -> list[Condition]:
 
 
 def _seen(plant: Plant, plan: Plan, probe: Probe, condition: Condition) -> GridSeen:
-    source = plan.source if condition.grid is None else Source("thevenin")
+    peak_a = probe.amplitude_pu * plant.rating.peak_current_a
+    injection = Injection("shunt_current", tones(probe.signal, "d", plant.f1_hz, peak_a))
     try:
-        source, point = reached(plant, source, condition)
-        found = _identified(plant, plant.settle(point, source), probe)
+        record = _driven(plant, plan, condition, injection, round(probe.signal.period_s / plant.dt_s))
     except NotSettled as refusal:
         return GridSeen(condition.op_id, None, float("nan"), f"{refusal.status}: {refusal}")
+    except ValueError:
+        raise
+    except Exception as error:
+        return GridSeen(condition.op_id, None, float("nan"), f"failed: {type(error).__name__}: {error}")
+    found = identify_grid(record, injection)
     scr = plant.rating.voltage_v**2 / (plant.rating.power_va * hypot(found.r_ohm, found.x_ohm))
     return GridSeen(condition.op_id, found, scr, "" if found.is_rl else _not_rl(found))
 
 
-def _identified(plant: Plant, state: Any, probe: Probe) -> GridImpedance:
-    peak_a = probe.amplitude_pu * plant.rating.peak_current_a
-    injection = Injection("shunt_current", tones(probe.signal, "d", plant.f1_hz, peak_a))
-    ((_, record),) = plant.run([Job(state, injection)], round(probe.signal.period_s / plant.dt_s))
+def _driven(plant: Plant, plan: Plan, condition: Condition, injection: Injection, n_steps: int) -> Record:
+    """The plant on its grid, from the moment the injection begins."""
+    source = plan.source if condition.grid is None else Source("thevenin")
+    source, point = reached(plant, source, condition)
+    ((_, record),) = plant.run([Job(plant.settle(point, source), injection)], n_steps)
     if not (np.all(np.isfinite(record.v)) and np.all(np.isfinite(record.i))):
         raise NotSettled("the response is not finite", status="diverged")
-    return identify_grid(record, injection)
+    return record
 
 
 def _not_rl(found: GridImpedance) -> str:
@@ -173,12 +178,14 @@ def _not_rl(found: GridImpedance) -> str:
 
 
 def grid_text(seen: GridSeen) -> str:
-    """R + jX with standard errors, as much of it as they allow."""
+    """R + jX as `seqsweep tune --grid` takes it, to the digits that count; an R that noise left below zero is zero."""
     found = seen.found
     if found is None:
         return ""
     size = hypot(found.r_ohm, found.x_ohm)
-    return f"{_rounded(found.r_ohm, found.r_std_ohm, size)}{_rounded(found.x_ohm, found.x_std_ohm, size, '+')}j"
+    return (
+        f"{_rounded(max(found.r_ohm, 0.0), found.r_std_ohm, size)}{_rounded(found.x_ohm, found.x_std_ohm, size, '+')}j"
+    )
 
 
 def format_report(seen: Sequence[GridSeen], probe: Probe, f1_hz: float) -> str:

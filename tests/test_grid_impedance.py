@@ -21,7 +21,9 @@ from seqsweep.identify.grid_impedance import (
 from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Record, Source, Tone
-from seqsweep.sweep.grid_probe import BAND_HZ, make_probe
+from seqsweep.sweep.config import Config
+from seqsweep.sweep.grid_probe import BAND_HZ, GridSeen, format_report, grid_text, make_probe, probe_grids
+from seqsweep.sweep.plan import make_plan
 from seqsweep.sweep.signals import tones
 from seqsweep.tuning.siso import parse_grid
 
@@ -317,6 +319,31 @@ def test_a_probe_that_cannot_work_is_refused_with_the_way_out(arguments, words):
     kind, *rest = arguments
     with pytest.raises(ValueError, match=words):
         make_probe(kind, TURBINE, *rest)
+
+
+class TrippingTurbine(ReferenceTurbine):
+    """Trips as soon as it is driven on a grid."""
+
+    def run(self, jobs, n_steps):
+        if any(job.injection for job in jobs):
+            raise RuntimeError("overcurrent")
+        return super().run(jobs, n_steps)
+
+
+def test_a_plant_that_trips_costs_its_operating_point_and_no_more():
+    point = {"id": "p", "active_power_mw": 0.65, "grid": {"r_ohm": 0.012, "x_ohm": 0.25}}
+    config = {"campaign": {"name": "c"}, "plant": {"id": "dpmsg-v1"}, "operating_point": [point]}
+    plan = make_plan(Config.from_dict({**config, "sweep": {"f_hz": [75.0]}}), TURBINE)
+    probe = make_probe("multisine", TURBINE, 0.02, 0.5)
+    (seen,) = probe_grids(TrippingTurbine(), plan, probe)
+    assert (seen.found, seen.reason) == (None, "failed: RuntimeError: overcurrent")
+    assert "p: failed: RuntimeError: overcurrent" in format_report([seen], probe, F1_HZ)
+
+
+def test_an_r_that_noise_left_below_zero_is_given_to_tune_as_zero():
+    found = identify_grid(quiet_record(*GRIDS["strong, SCR 20"]), injection_of())
+    text = grid_text(GridSeen("p", replace(found, r_ohm=-2e-4), 20.0, ""))
+    assert parse_grid(text, F1_HZ).r_ohm == 0.0
 
 
 # The command
