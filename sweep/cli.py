@@ -231,6 +231,73 @@ def verify(
         draw(result, plot)
 
 
+@app.command("export")
+def export_command(
+    table: TableFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The suffix decides the format.")],
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Only this operating point.")] = None,
+    frame: Annotated[str, typer.Option(help="pn or dq.")] = "pn",
+    z0: Annotated[float | None, typer.Option(metavar="OHM", help="Touchstone's reference; by default U^2/S.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a table for other tools: CSV, MATLAB (frd-ready) or Touchstone."""
+    from .exchange import export_table, format_of
+
+    if frame not in ("pn", "dq"):
+        raise _WrongInput(f"--frame {frame!r}: known are pn and dq")
+    if z0 is not None and not z0 > 0.0:
+        raise _WrongInput(f"--z0 {z0:g}: needed: a number above 0, in ohm")
+    found = format_of(output, kind)
+    _check_new(output, force)
+    typer.echo(export_table(table, output, found, op, frame, z0))  # type: ignore[arg-type]
+
+
+@app.command("import")
+def import_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or other text, .mat or Touchstone.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    frame: Annotated[str | None, typer.Option(help="pn or dq.")] = None,
+    direction: Annotated[str | None, typer.Option(help="load: current into the device; or generator.")] = None,
+    f1: Annotated[float | None, typer.Option(metavar="HZ", help="Fundamental frequency.")] = None,
+    quantity: Annotated[str | None, typer.Option(help="admittance or impedance.")] = None,
+    unit: Annotated[str | None, typer.Option(help="S, mS, ohm, pu, ...")] = None,
+    phase_unit: Annotated[str | None, typer.Option(help="deg or rad.")] = None,
+    frequency_unit: Annotated[str | None, typer.Option(help="Hz, kHz or rad/s.")] = None,
+    q_axis: Annotated[str | None, typer.Option(help="leading (default) or lagging the d axis.")] = None,
+    rated_voltage: Annotated[float | None, typer.Option(metavar="V", help="Rated line-to-line RMS.")] = None,
+    rated_power: Annotated[float | None, typer.Option(metavar="VA", help="Rated apparent power.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
+    active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
+    terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
+    variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix in a .mat file.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+) -> None:
+    """Make a table of another tool's file. What the file does not say, an option must; nothing is assumed."""
+    from .exchange import format_of, import_file
+
+    given = {
+        "frame": frame,
+        "direction": direction,
+        "f1_hz": f1,
+        "quantity": quantity,
+        "unit": unit,
+        "phase_unit": phase_unit,
+        "frequency_unit": frequency_unit,
+        "q_axis": q_axis,
+        "rated_voltage_v": rated_voltage,
+        "rated_power_va": rated_power,
+        "op_id": op,
+        "active_power_mw": active_power_mw,
+        "terminal_voltage_pu": terminal_voltage_pu,
+        "variable": variable,
+    }
+    found = format_of(file, kind)
+    _check_new(output, force)
+    typer.echo(import_file(file, output, found, given))
+
+
 class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 
@@ -255,6 +322,15 @@ def _check_outputs(output: Path | None, plot: Path | None) -> None:
     for path in (output, plot):
         if path is not None:
             _check_folder(path)
+
+
+def _check_new(output: Path, force: bool) -> None:
+    """Refuse an output that is in the way of nothing, or of something that may stay."""
+    if output.is_dir():
+        raise _WrongInput(f"{output} is a folder; name a file")
+    if output.exists() and not force:
+        raise _WrongInput(f"{output} exists; --force replaces it")
+    _check_folder(output)
 
 
 def _check_folder(output: Path) -> None:

@@ -1,0 +1,99 @@
+"""Touchstone: scattering parameters of one operating point, in the pn frame, through scikit-rf.
+
+Y is written as S-parameters because every reader understands them; the reference impedance stands
+in the option line and the facts in comments. Admittance blocks of other writers are refused: readers
+disagree on how they are scaled.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .exchange import (
+    ExchangeError,
+    Facts,
+    Found,
+    Outgoing,
+    Sheet,
+    agreed,
+    check_file,
+    extra,
+    facts_of,
+    points_of,
+    the_one,
+)
+from .exchange_objects import to_network
+from .table import atomic_file, canonical_json
+
+
+def write_touchstone(path: str | Path, out: Outgoing, z0_ohm: float | None = None) -> None:
+    """Write one response as Touchstone 1, S-parameters as real and imaginary part, Hz.
+
+    Parameters
+    ----------
+    path : path
+        Replaced as a whole; by custom it ends in ``.s2p``.
+    out : Outgoing
+        One response; rows that are not "ok" are left out, the format knows no status.
+    z0_ohm : float or None
+        Reference impedance (ohm); None: U^2/S of the table's rating.
+
+    Raises
+    ------
+    ExchangeError
+        As `to_network`.
+    """
+    response, facts = the_one(out, "Touchstone"), out.facts
+    z0_ohm = z0_ohm or facts["rated_voltage_v"] ** 2 / facts["rated_power_va"]
+    network = to_network(response, z0_ohm)
+    comments = {"written_by": "seqsweep", **facts, "operating_points": [out.point(str(response.meta["op_id"]))]}
+    network.comments = "\n".join(f"{key}: {canonical_json(value)}" for key, value in comments.items())
+    text = network.write_touchstone(return_string=True, form="ri", r_ref=z0_ohm, skrf_comment=False)
+    with atomic_file(path) as file:
+        file.write(text.encode("latin-1", "replace"))
+
+
+def read_touchstone(path: str | Path, given: Facts) -> Found:
+    """Read a two-port of S-parameters.
+
+    Raises
+    ------
+    ExchangeError
+        If it is no Touchstone file, has another number of ports or other parameters, or a fact is missing.
+    """
+    text = check_file(path).read_bytes().decode("latin-1")
+    comments = [line.lstrip()[1:].strip() for line in text.splitlines() if line.lstrip().startswith("!")]
+    _check_parameters(path, text)
+    network = _network(path)
+    if network.nports != 2:
+        raise ExchangeError(f"{path} has {network.nports} ports; needed: 2")
+    said = facts_of(comments)
+    said.update(quantity="admittance", unit="S", frequency_unit="Hz")
+    point = next(iter(points_of(said)), {})
+    return Found((Sheet(np.asarray(network.f), np.asarray(network.y), point),), agreed(said, given, path))
+
+
+def _check_parameters(path: str | Path, text: str) -> None:
+    option = re.search(r"^\s*#(.*)$", text, re.MULTILINE)
+    if option is None:
+        raise ExchangeError(f"{path}: not Touchstone: it has no option line such as '# Hz S RI R 50'")
+    found = {word.upper() for word in option[1].split()} & {"Y", "Z", "G", "H"}
+    if found:
+        raise ExchangeError(
+            f"{path} holds {found.pop()}-parameters, whose scaling writers disagree on: save S-parameters"
+        )
+
+
+def _network(path: str | Path) -> Any:
+    skrf = extra("skrf", "scikit-rf")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return skrf.Network(str(path))
+    except Exception as error:  # it raises whatever its parser met
+        raise ExchangeError(f"{path}: scikit-rf cannot read it: {str(error).splitlines()[0][:200]}") from None
