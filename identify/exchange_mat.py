@@ -53,8 +53,6 @@ def write_mat(path: str | Path, out: Outgoing) -> None:
     Variables: ``Y`` (2x2xN, S), ``f_hz`` (Nx1), ``Y_std`` (2x2xN, pn frame), ``status``, ``reason`` (cells),
     the quality columns, and the facts by their names.
     """
-    from scipy.io import savemat
-
     response = the_one(out, "a .mat file")
     point = out.point(str(response.meta["op_id"]))
     variables: dict[str, Any] = {
@@ -70,10 +68,17 @@ def write_mat(path: str | Path, out: Outgoing) -> None:
     if response.frame == "pn":
         variables["Y_std"] = np.moveaxis(std_of(np.asarray(response.covariance)).reshape(-1, 2, 2), 0, -1)
         variables["f_mirror_hz"] = response.f_mirror_hz[:, np.newaxis]
+    with atomic_file(path) as file:
+        file.write(mat_bytes(variables))
+
+
+def mat_bytes(variables: Mapping[str, Any]) -> bytes:
+    """A version 5 file; equal variables give equal bytes, for scipy's header, which holds the time, is replaced."""
+    from scipy.io import savemat
+
     buffer = io.BytesIO()
     savemat(buffer, variables, do_compression=True)
-    with atomic_file(path) as file:
-        file.write(_HEADER + buffer.getvalue()[len(_HEADER) :])  # scipy's header holds the time
+    return _HEADER + buffer.getvalue()[len(_HEADER) :]
 
 
 # Reading

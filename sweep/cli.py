@@ -298,6 +298,50 @@ def import_command(
     typer.echo(import_file(file, output, found, given))
 
 
+@app.command("inject")
+def inject_command(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="A folder, made if it is not there.")],
+    kind: Annotated[str, typer.Option("--format", help="csv, comtrade, pscad or mat.")],
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Sample rate of the files.")] = 10_000.0,
+    quiet: Annotated[float, typer.Option(metavar="S", help="Silence at the start of a file.")] = 1.0,
+    settle: Annotated[float, typer.Option(metavar="S", help="Tones play so long before they are evaluated.")] = 1.0,
+    windows: Annotated[int, typer.Option(metavar="N", help="Coherent windows of an experiment.")] = 2,
+    longest: Annotated[float, typer.Option(metavar="S", help="Longest file; 0: one pair per file.")] = 60.0,
+    encoding: Annotated[str, typer.Option(help="Of COMTRADE: ASCII, BINARY, BINARY32 or FLOAT32.")] = "BINARY",
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point, where there are several.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over an earlier manifest and its files.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Write the perturbations as files, for PSCAD, RTDS, Simulink or a laboratory."""
+    from .config import load_config
+    from .inject import Timing, chosen, inject, planned
+    from .manifest import FILE_NAME
+    from .playback import SUFFIXES
+
+    if kind not in SUFFIXES:
+        raise _WrongInput(f"--format {kind!r}: known are {', '.join(SUFFIXES)}")
+    if encoding not in ("ASCII", "BINARY", "BINARY32", "FLOAT32"):
+        raise _WrongInput(f"--encoding {encoding!r}: known are ASCII, BINARY, BINARY32 and FLOAT32")
+    timing = Timing(rate, quiet, settle, windows, longest)
+    plan, plant = planned(load_config(campaign, settings or ()), timing)
+    condition = chosen(plan, op)
+    if output.exists() and not output.is_dir():
+        raise _WrongInput(f"{output} is a file; name a folder")
+    if (output / FILE_NAME).exists() and not force:
+        raise _WrongInput(f"{output / FILE_NAME} exists; --force writes over it")
+    _check_folder(output)
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    output.mkdir(exist_ok=True)
+    written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
+    ends = {experiment.file: experiment.end_s for experiment in written.experiments}
+    typer.echo(
+        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {len(ends)} files, "
+        f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
+    )
+
+
 class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 
