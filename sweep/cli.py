@@ -316,7 +316,7 @@ def inject_command(
     """Write the perturbations as files, for PSCAD, RTDS, Simulink or a laboratory."""
     from .config import load_config
     from .inject import Timing, chosen, inject, planned
-    from .manifest import FILE_NAME
+    from .manifest_file import FILE_NAME
     from .playback import SUFFIXES
 
     if kind not in SUFFIXES:

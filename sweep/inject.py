@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..identify.table import atomic_file
-from ..plant.protocol import OperatingRange, Plant, Rating
+from ..plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
 from ..plant.registry import make_plant
 from .comtrade_file import Encoding
 from .config import Config
-from .manifest import AMPLITUDE_UNIT, FILE_NAME, Experiment, Manifest, PlayedTone
+from .manifest_file import AMPLITUDE_UNIT, FILE_NAME, Experiment, Manifest, PlayedTone
 from .plan import Condition, Plan, make_plan
 from .playback import SUFFIXES, PlaybackFormat, Waveforms, phases, write_waveforms
 
@@ -62,7 +62,7 @@ class Timing(NamedTuple):
     longest_s: float = 60.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class ExternalDevice:
     """What a plan needs to know of a device that is elsewhere; it answers the promise of a plant in words only."""
 
@@ -73,10 +73,13 @@ class ExternalDevice:
     operating_range: OperatingRange = ANYTHING
     power_meaning: str = "as metered by whoever records it"
 
-    def settle(self, operating_point: Any, source: Any) -> Any:
+    def settle(self, operating_point: OperatingPoint, source: Source) -> Any:
+        """Refuse: there is nothing to settle."""
         raise InjectError(f"{EXTERNAL}: a device that is elsewhere cannot be driven from here")
 
-    run = settle
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[Any, Record]]:
+        """Refuse: there is nothing to run."""
+        raise InjectError(f"{EXTERNAL}: a device that is elsewhere cannot be driven from here")
 
 
 def planned(config: Config, timing: Timing) -> tuple[Plan, Plant]:

@@ -1,7 +1,8 @@
 """The manifest of perturbation files: which tones are played when, and which rows of the table they serve.
 
 ``schema/seqsweep-manifest-1.schema.json`` is the format. `inject` writes it beside the files; whoever
-records the answer hands it to the identification together with the recordings.
+records the answers hands it on together with the recordings, and may add what only they know: the
+``direction`` of the recorded current, and which ``recording`` belongs to an experiment.
 """
 
 from __future__ import annotations
@@ -19,12 +20,7 @@ FORMAT = "seqsweep-manifest"
 VERSION = "1.0.0"
 FILE_NAME = "manifest.json"
 SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-manifest-1.schema.json"
-MAX_BYTES = 64 * 2**20
 AMPLITUDE_UNIT: dict[InjectionKind, str] = {"series_voltage": "V", "shunt_current": "A"}
-
-
-class ManifestError(ValueError):
-    """A file that is no manifest, or contradicts itself."""
 
 
 class PlayedTone(NamedTuple):
@@ -109,44 +105,6 @@ class Manifest:
             ],
             "configuration": dict(self.configuration),
         }
-
-
-def read_manifest(path: str | Path) -> Manifest:
-    """Read and check a manifest.
-
-    Raises
-    ------
-    ManifestError
-        If it is missing, no JSON, does not fit the schema, or contradicts itself.
-    """
-    try:
-        content = Path(path).read_bytes() if Path(path).stat().st_size <= MAX_BYTES else None
-    except FileNotFoundError:
-        raise ManifestError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise ManifestError(f"{path} is a folder; name the {FILE_NAME} in it") from None
-    if content is None:
-        raise ManifestError(f"{path}: larger than {MAX_BYTES / 2**20:.0f} MiB: no manifest")
-    try:
-        data = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise ManifestError(f"{path}: not JSON: {str(error)[:200]}") from None
-    if violations := manifest_violations(data):
-        raise ManifestError(f"{path}: {violations[0]}")
-    bases = data["bases"]
-    return Manifest(
-        data["f1_hz"],
-        data["sample_rate_hz"],
-        data["kind"],
-        bases["rated_voltage_v"],
-        bases["rated_power_va"],
-        data["operating_point"],
-        tuple(
-            Experiment(**{**each, "shots": tuple(PlayedTone(**shot) for shot in each["shots"])})
-            for each in data["experiments"]
-        ),
-        data["configuration"],
-    )
 
 
 def manifest_violations(data: Any) -> list[str]:
