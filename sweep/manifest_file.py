@@ -133,7 +133,8 @@ def _tones(data: Mapping[str, Any]) -> Iterator[str]:
 
 def _order(data: Mapping[str, Any]) -> Iterator[str]:
     """Stretches of one file must follow one another."""
-    experiments = [Experiment(**{**each, "shots": ()}) for each in data["experiments"]]
-    for number, (before, after) in enumerate(pairwise(experiments), start=1):
-        if before.file == after.file and after.start_s < before.end_s - 1e-9:
-            yield f"experiment {number} begins at {after.start_s:g} s, before the last one ends at {before.end_s:g} s"
+    stretches = [(each["file"], each["start_s"], each["settle_s"] + each["duration_s"]) for each in data["experiments"]]
+    for number, (before, after) in enumerate(pairwise(stretches), start=1):
+        end_s = before[1] + before[2]
+        if before[0] == after[0] and after[1] < end_s - 1e-9:
+            yield f"experiment {number} begins at {after[1]:g} s, before the last one ends at {end_s:g} s"
