@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import csv
 import io
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from .exchange import (
     ExchangeError,
     Facts,
     Found,
-    Outgoing,
     Sheet,
     agreed,
     check_file,
@@ -31,32 +30,13 @@ from .exchange import (
     frequency_factor,
     need,
     points_of,
+    texts,
     unit_factor,
 )
+from .exchange_headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_columns, variables_header
+from .exchange_table import Outgoing
 from .response import FrequencyResponse
 from .table import ELEMENTS, QUALITY, atomic_file, canonical_json, std_of
-
-DQ_ELEMENTS = ("dd", "dq", "qd", "qq")
-POSITION = {
-    **{name: divmod(k, 2) for k, name in enumerate(ELEMENTS)},
-    **{name: divmod(k, 2) for k, name in enumerate(DQ_ELEMENTS)},
-    **{name: divmod(k, 2) for k, name in enumerate(("11", "12", "21", "22"))},
-}
-"""Row and column of an element by its name."""
-
-_PARTS = {
-    **dict.fromkeys(("re", "real"), "re"),
-    **dict.fromkeys(("im", "imag", "imaginary"), "im"),
-    **dict.fromkeys(("mag", "abs", "magnitude", "amplitude", "db"), "mag"),
-    **dict.fromkeys(("phase", "ph", "arg", "angle", "ang", "deg", "rad"), "phase"),
-}
-_UNITS = {
-    "hz": "Hz", "khz": "kHz", "rad/s": "rad/s", "s": "S", "ms": "mS", "us": "uS", "µs": "uS", "μs": "uS", "ks": "kS",
-    "1/ohm": "1/ohm", "ohm": "ohm", "ω": "ohm", "mohm": "mohm", "mω": "mohm", "kohm": "kohm", "kω": "kohm", "pu": "pu",
-    "p.u.": "pu", "db": "dB", "deg": "deg", "°": "deg", "degrees": "deg", "rad": "rad", "dbs": "dB",
-}  # fmt: skip
-_FREQUENCY = {"f": None, "freq": None, "frequency": None, "omega": "rad/s", "w": "rad/s", "hz": "Hz"}
-
 
 # Writing
 
@@ -98,16 +78,6 @@ def _columns(response: FrequencyResponse) -> dict[str, list[Any]]:
 # Reading
 
 
-class Column(NamedTuple):
-    """What a header says: ``what`` is "f", "value" or the name of a further column of the table."""
-
-    what: str
-    element: str = ""
-    part: str = ""
-    unit: str | None = None
-    quantity: str | None = None
-
-
 def read_csv(path: str | Path, given: Facts) -> Found:
     """Read text of ours or of others.
 
@@ -123,134 +93,120 @@ def read_csv(path: str | Path, given: Facts) -> Found:
     ExchangeError
         If it is no such text, a column is missing, a cell is no number, or a fact is.
     """
-    said, rows = _rows(path)
-    header, body = rows[0], rows[1:]
-    if not body:
-        raise ExchangeError(f"{path}: a header, and no rows")
-    if len(header) == 3 and len(body[0]) == 5:
-        header = _variables_header(path, header)
+    comments, header, rows = _opened(check_file(path))
     columns = [column_of(name) for name in header]
-    said = {**_said_by_columns(path, columns), **said}
+    said = {**said_by_columns(path, columns), **facts_of(comments)}
     facts = agreed(said, given, path)
-    cells = _cells(path, header, body)
+    cells = _cells(path, header, columns, rows)
     frequency = _frequency(path, columns, cells, facts)
-    matrix = _matrix(path, header, columns, cells, facts)
-    return Found(_sheets(path, columns, cells, frequency, matrix, said), facts)
+    matrix = _matrix(path, header, columns, cells, frequency, facts)
+    return Found(_sheets(columns, cells, frequency, matrix, said), facts)
 
 
-def _rows(path: str | Path) -> tuple[dict[str, Any], list[list[str]]]:
-    """Facts in comments, and the cells of every other line that is not blank."""
-    content = check_file(path).read_bytes()
-    if b"\0" in content[:4096]:
-        raise ExchangeError(f"{path}: not text: it holds zero bytes; --format says what it is")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    lines = [line for line in text.splitlines() if line.strip()]
-    comments = [line[1:].strip() for line in lines if line.startswith("#")]
-    lines = [line for line in lines if not line.startswith("#")]
-    if not lines:
+def _opened(path: Path) -> tuple[list[str], list[str], Iterator[list[str]]]:
+    """Comments above the header, the header, and the rows below, which are read when they are asked for."""
+    lines = _lines(path)
+    comments: list[str] = []
+    for first in lines:
+        if not first.startswith("#"):
+            break
+        comments.append(first[1:].strip())
+    else:
         raise ExchangeError(f"{path}: no header and no rows")
-    delimiter = next((mark for mark in "\t;," if mark in lines[0]), None)
+    delimiter = next((mark for mark in "\t;," if mark in first), None)
+    rows = _split(path, chain([first], (line for line in lines if not line.startswith("#"))), delimiter)
+    header, row = next(rows), next(rows, None)
+    if row is None:
+        raise ExchangeError(f"{path}: a header, and no rows")
+    if len(header) == 3 and len(row) == 5:
+        header = variables_header(path, header)
+    return comments, header, chain([row], rows)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Lines that are not blank; what is not UTF-8 is taken for Latin-1."""
+    with open(path, "rb") as file:
+        if b"\0" in file.read(4096):
+            raise ExchangeError(f"{path}: not text: it holds zero bytes; --format says what it is")
+        file.seek(0)
+        for number, line in enumerate(file):
+            try:
+                text = line.decode("utf-8-sig" if number == 0 else "utf-8")
+            except UnicodeDecodeError:
+                text = line.decode("latin-1")
+            if text.strip():
+                yield text.rstrip("\r\n")
+
+
+def _split(path: Path, lines: Iterable[str], delimiter: str | None) -> Iterator[list[str]]:
     if delimiter is None:
-        return facts_of(comments), [line.split() for line in lines]
+        yield from (line.split() for line in lines)
+        return
     try:
-        return facts_of(comments), list(csv.reader(lines, delimiter=delimiter, strict=True))
+        yield from csv.reader(lines, delimiter=delimiter, strict=True)
     except csv.Error as error:
-        raise ExchangeError(f"{path}: not {'tab' if delimiter == chr(9) else delimiter}-separated: {error}") from None
+        name = {"\t": "tab", ";": "semicolon", ",": "comma"}[delimiter]
+        raise ExchangeError(f"{path}: not {name}-separated: {error}") from None
 
 
-def _variables_header(path: str | Path, header: Sequence[str]) -> list[str]:
-    """``f, NAME_d, NAME_q`` as the five columns that follow."""
-    first, second = (name.strip().rpartition("_")[2].lower() for name in header[1:])
-    if first + second not in ("dq", "pn"):
-        raise ExchangeError(
-            f"{path}: rows of five cells under {', '.join(header)}; needed: f and two variables, ending in _d and _q"
-        )
-    return [header[0], *(row + column for row in (first, second) for column in (first, second))]
-
-
-def column_of(header: str) -> Column:
-    """Recognise a header such as ``f [Hz]``, ``y_pp_re [S]``, ``|Ydq| (dB)``, ``phase(Z21) [deg]`` or ``imag_nn``."""
-    text = header.strip().lower()
-    unit = None
-    if found := re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", text):
-        unit = _UNITS.get(found[1])
-        if unit is not None or text.endswith("]"):
-            text = text[: found.start()]
-    tokens = [token for token in re.split(r"[\W_]+", text.replace("|", " abs ").replace("∠", " phase ")) if token]
-    if text.strip() in (*QUALITY, "op_id", "status", "reason"):
-        return Column(text.strip())
-    if tokens and tokens[0] in _FREQUENCY and "mirror" not in tokens:
-        named = next((_UNITS[token] for token in tokens if token in ("hz", "khz")), None)
-        return Column("f", unit=unit or named or _FREQUENCY[tokens[0]])
-    return _value_column(tokens, unit)
-
-
-def _value_column(tokens: Sequence[str], unit: str | None) -> Column:
-    quantity = element = part = None
-    for token in tokens:
-        bare = token[1:] if token[:1] in ("y", "z") and token[1:] in POSITION else token
-        if token in ("y", "z") or bare != token:
-            quantity = {"y": "admittance", "z": "impedance"}[token[0]]
-        if bare in POSITION:
-            element = bare
-        elif token in _PARTS:
-            part = part or _PARTS[token]
-            unit = unit or {"db": "dB", "deg": "deg", "rad": "rad"}.get(token)
-        elif token in ("std", "mirror"):
-            return Column("other")
-        elif unit is None:
-            unit = _UNITS.get(token)
-    if element is None:
-        return Column("other")
-    return Column("value", element, part or "complex", unit, quantity)
-
-
-def _said_by_columns(path: str | Path, columns: Sequence[Column]) -> dict[str, Any]:
-    """Frame and quantity as far as the names of the columns say them."""
-    values = [column for column in columns if column.what == "value"]
-    frames = {"pn" if c.element in ELEMENTS else "dq" for c in values if c.element in (*ELEMENTS, *DQ_ELEMENTS)}
-    quantities = {column.quantity for column in values if column.quantity}
-    for kinds in (frames, quantities):
-        if len(kinds) > 1:
-            raise ExchangeError(f"{path}: columns of {' and '.join(sorted(kinds))} in one file; keep one kind")
-    said: dict[str, Any] = {"frame": frames.pop()} if frames else {}
-    return {**said, "quantity": quantities.pop()} if quantities else said
-
-
-def _cells(path: str | Path, header: Sequence[str], body: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Columns of text."""
-    for number, row in enumerate(body, start=1):
+def _cells(
+    path: str | Path, header: Sequence[str], columns: Sequence[Column], rows: Iterable[Sequence[str]]
+) -> list[np.ndarray]:
+    """One array per column, of the kind it holds; empty for columns that say nothing of ours."""
+    kinds = [_kind(column) for column in columns]
+    cells: list[list[Any]] = [[] for _ in columns]
+    for number, row in enumerate(rows, start=1):
         if len(row) != len(header):
             raise ExchangeError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}")
-    return [list(column) for column in zip(*body, strict=True)]
+        for kind, values, cell, name in zip(kinds, cells, row, header, strict=True):
+            if kind is not None:
+                values.append(cell if kind is str else _number(path, number, name, cell, kind))
+    return [
+        texts(values, path) if kind is str else np.array(values, dtype=kind)
+        for kind, values in zip(kinds, cells, strict=True)
+    ]
 
 
-def _frequency(path: str | Path, columns: Sequence[Column], cells: list[list[str]], facts: Facts) -> np.ndarray:
+def _kind(column: Column) -> type | None:
+    if column.what in ("op_id", "status", "reason"):
+        return str
+    if column.what == "f" or column.part == "complex":
+        return complex
+    return None if column.what == "other" else float
+
+
+def _number(path: str | Path, number: int, name: str, cell: str, kind: type) -> Any:
+    try:
+        return kind(cell.strip().replace("+-", "-").replace("i", "j") if kind is complex else cell)
+    except ValueError:
+        raise ExchangeError(f"{path}: row {number}, column {name!r}: {cell[:40]!r} is not a number") from None
+
+
+def _frequency(path: str | Path, columns: Sequence[Column], cells: Sequence[np.ndarray], facts: Facts) -> np.ndarray:
     found = [k for k, column in enumerate(columns) if column.what == "f"]
     if len(found) != 1:
         what = "no column" if not found else f"{len(found)} columns"
         raise ExchangeError(f"{path}: {what} of frequencies; needed: one, named f or frequency, its unit in brackets")
     unit = columns[found[0]].unit or need(facts, "frequency_unit", path)
-    values = _numbers(path, "the frequency", cells[found[0]], complex)
-    return np.asarray(values.real * frequency_factor(unit, path))
+    return np.asarray(cells[found[0]].real * frequency_factor(unit, path))
 
 
 def _matrix(
-    path: str | Path, header: Sequence[str], columns: Sequence[Column], cells: list[list[str]], facts: Facts
+    path: str | Path,
+    header: Sequence[str],
+    columns: Sequence[Column],
+    cells: Sequence[np.ndarray],
+    f_hz: np.ndarray,
+    facts: Facts,
 ) -> np.ndarray:
     parts: dict[tuple[int, int], dict[str, np.ndarray]] = {}
-    for name, column, text in zip(header, columns, cells, strict=True):
+    for name, column, values in zip(header, columns, cells, strict=True):
         if column.what == "value":
-            kind = complex if column.part == "complex" else float
-            values = _numbers(path, f"column {name!r}", text, kind)
             place = parts.setdefault(POSITION[column.element], {})
             if column.part in place:
                 raise ExchangeError(f"{path}: column {name!r} is there twice")
             place[column.part] = _in_si(path, column, values, facts)
-    matrix = np.empty((len(cells[0]), 2, 2), dtype=complex)
+    matrix = np.empty((len(f_hz), 2, 2), dtype=complex)
     for row, column_number in ((0, 0), (0, 1), (1, 0), (1, 1)):
         matrix[:, row, column_number] = _joined(path, header, (row, column_number), parts.get((row, column_number), {}))
     return matrix
@@ -284,28 +240,13 @@ def _joined(path: str | Path, header: Sequence[str], at: tuple[int, int], parts:
     )
 
 
-def _numbers(path: str | Path, what: str, text: Sequence[str], kind: type) -> np.ndarray:
-    values: np.ndarray = np.empty(len(text), dtype=kind)
-    for number, cell in enumerate(text):
-        try:
-            values[number] = kind(cell.strip().replace("+-", "-").replace("i", "j") if kind is complex else cell)
-        except ValueError:
-            raise ExchangeError(f"{path}: row {number + 1}, {what}: {cell[:40]!r} is not a number") from None
-    return values
-
-
 def _sheets(
-    path: str | Path,
-    columns: Sequence[Column],
-    cells: list[list[str]],
-    f_hz: np.ndarray,
-    matrix: np.ndarray,
-    said: Facts,
+    columns: Sequence[Column], cells: Sequence[np.ndarray], f_hz: np.ndarray, matrix: np.ndarray, said: Facts
 ) -> tuple[Sheet, ...]:
     """One sheet per operating point, in the order of the file."""
-    text = {column.what: np.array(cell) for column, cell in zip(columns, cells, strict=True)}
-    op_id = text.get("op_id", np.full(len(f_hz), ""))
-    quality = {key: _numbers(path, f"column {key!r}", text[key].tolist(), float) for key in QUALITY if key in text}
+    named = {column.what: values for column, values in zip(columns, cells, strict=True)}
+    op_id = named.get("op_id", np.full(len(f_hz), ""))
+    quality = {key: named[key] for key in QUALITY if key in named}
     points = {point.get("op_id"): point for point in points_of(said)}
     sheets = []
     for name in dict.fromkeys(op_id.tolist()):
@@ -315,8 +256,8 @@ def _sheets(
                 f_hz[rows],
                 matrix[rows],
                 {**points.get(name, {}), "op_id": name or None},
-                text["status"][rows] if "status" in text else None,
-                text["reason"][rows] if "reason" in text else None,
+                named["status"][rows] if "status" in named else None,
+                named["reason"][rows] if "reason" in named else None,
                 {key: values[rows] for key, values in quality.items()},
             )
         )

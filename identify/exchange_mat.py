@@ -21,16 +21,16 @@ from .exchange import (
     ExchangeError,
     Facts,
     Found,
-    Outgoing,
     Sheet,
     agreed,
     check_file,
     extra,
     frequency_factor,
     need,
-    the_one,
+    texts,
     unit_factor,
 )
+from .exchange_table import Outgoing, the_one
 from .table import QUALITY, atomic_file, std_of
 
 _HEADER = b"MATLAB 5.0 MAT-file, written by seqsweep".ljust(116)
@@ -42,6 +42,9 @@ _FREQUENCIES = {
     **{"f_hz": "Hz", "freq_hz": "Hz", "frequency_hz": "Hz", "w": "rad/s", "omega": "rad/s", "w_rad_s": "rad/s"},
     **dict.fromkeys(("f", "freq", "freqs", "frequency", "frequencies")),
 }
+
+_RESPONSES = ("ResponseData", "Response")
+_UNIT_NAMES = ("FrequencyUnit", "FrequencyUnit_", "FreqUnits", "Units")
 
 
 # Writing
@@ -135,26 +138,40 @@ def _plain(path: str | Path, name: str, variables: Mapping[str, Any], given: Fac
     factor = frequency_factor(need(facts, "frequency_unit", path), path)
     f_hz = np.asarray(variables[found[0]], dtype=float).ravel() * factor
     scale = unit_factor(need(facts, "unit", path), facts, path)
-    status, reason = (_texts(variables[key], len(matrix)) if key in variables else None for key in ("status", "reason"))
+    status, reason = (_texts(path, variables.get(key), len(matrix)) for key in ("status", "reason"))
     quality = {key: np.asarray(variables[key], dtype=float).ravel() for key in QUALITY if key in variables}
     return Found((Sheet(f_hz, matrix * scale, said, status, reason, quality),), facts)
 
 
 def _frd(path: str | Path, name: str, model: Any, given: Facts) -> Found:
-    """A saved object: some part of it has the response, the frequencies and their unit."""
-    for properties in _parts(model):
-        response = next((properties[key] for key in ("ResponseData", "Response") if key in properties), None)
-        if response is None or "Frequency" not in properties:
-            continue
-        units = (properties.get(key) for key in ("FrequencyUnit", "FreqUnits", "Units"))
-        unit = next((_text(unit) for unit in units if unit is not None), None)
-        said = {"frequency_unit": {"rad/TimeUnit": "rad/s", "rad/second": "rad/s"}.get(unit or "", unit)}
-        facts = agreed(said, given, path)
-        matrix = _frequency_first(path, name, np.asarray(response, dtype=complex))
-        factor = frequency_factor(need(facts, "frequency_unit", path), path)
-        scale = unit_factor(need(facts, "unit", path), facts, path)
-        return Found((Sheet(np.asarray(properties["Frequency"], dtype=float).ravel() * factor, matrix * scale),), facts)
-    raise ExchangeError(f"{path}: {name} is an object without frequency response; needed: an frd, or Y and f_hz")
+    """A saved object: some part of it has the response and the frequencies, some part their unit.
+
+    MATLAB keeps what it shows as ``ResponseData`` in an inner object, as ``Response``; a property that
+    was never set may not be in the file at all.
+    """
+    parts = list(_parts(model))
+    key, data = next(((key, part) for part in parts for key in _RESPONSES if key in part), ("", {}))
+    if not key or "Frequency" not in data:
+        raise ExchangeError(f"{path}: {name} is an object without frequency response; needed: an frd, or Y and f_hz")
+    if any(_has_delay(part["Delay"]) for part in parts if "Delay" in part):
+        raise ExchangeError(f"{path}: {name} keeps delays apart from its response: save absorbDelay({name})")
+    unit = next((_text(part[unit]) for part in parts for unit in _UNIT_NAMES if unit in part), None)
+    facts = agreed({"frequency_unit": {"rad/TimeUnit": "rad/s"}.get(unit or "", unit)}, given, path)
+    matrix = _frequency_first(path, name, np.asarray(data[key], dtype=complex))
+    f_hz = np.asarray(data["Frequency"], dtype=float).ravel()
+    f_hz = f_hz * frequency_factor(need(facts, "frequency_unit", path), path)
+    return Found((Sheet(f_hz, matrix * unit_factor(need(facts, "unit", path), facts, path)),), facts)
+
+
+def _has_delay(value: Any) -> bool:
+    """Whether a number in a structure, however deep, is not zero."""
+    if isinstance(value, Mapping):
+        return any(_has_delay(inner) for inner in value.values())
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        return any(_has_delay(value[name]) for name in value.dtype.names)
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return any(_has_delay(inner) for inner in value.ravel())
+    return isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and bool(np.any(value != 0))
 
 
 def _parts(value: Any) -> Iterator[Mapping[str, Any]]:
@@ -188,10 +205,12 @@ def _number(value: Any) -> float | None:
     return None if np.isnan(number) else number
 
 
-def _texts(cells: Any, n: int) -> np.ndarray:
-    """A cell of texts (n,); an empty text is an empty array there."""
-    texts = [_text(cell) for cell in np.asarray(cells).ravel()]
-    return np.array(texts + [""] * (n - len(texts)))
+def _texts(path: str | Path, cells: Any, n: int) -> np.ndarray | None:
+    """A cell of texts (n,), None where there is none; an empty text is an empty array there."""
+    if cells is None:
+        return None
+    found = [_text(cell) for cell in np.asarray(cells).ravel()]
+    return texts(found + [""] * (n - len(found)), path)
 
 
 # Files

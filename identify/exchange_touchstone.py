@@ -18,16 +18,15 @@ from .exchange import (
     ExchangeError,
     Facts,
     Found,
-    Outgoing,
     Sheet,
     agreed,
     check_file,
     extra,
     facts_of,
     points_of,
-    the_one,
 )
 from .exchange_objects import to_network
+from .exchange_table import Outgoing, the_one
 from .table import atomic_file, canonical_json
 
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..identify.exchange import ExchangeError, Facts, Found, outgoing, to_table
+from ..identify.exchange import ExchangeError, Facts, Found
+from ..identify.exchange_table import outgoing, to_table
 from ..identify.response import Frame
 from ..identify.table import read_table, write_table
 

@@ -13,10 +13,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from seqsweep.identify import exchange, exchange_mat
+from seqsweep.identify import exchange_mat
 from seqsweep.identify.exchange import ExchangeError
-from seqsweep.identify.exchange_csv import column_of
+from seqsweep.identify.exchange_headers import column_of
 from seqsweep.identify.exchange_objects import to_control, to_network, to_xarray
+from seqsweep.identify.exchange_table import to_table
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table import Table, TableError, read_table, validate_table, write_table
 from seqsweep.sweep.exchange import export_table, import_file, read_file
@@ -349,6 +350,28 @@ def test_complex_strings_under_two_variables_are_read(tmp_path: Path) -> None:
     assert_close(imported(path, **GIVEN, **more).responses[0].y, Y)
 
 
+def test_a_dq_import_is_tuned_like_the_pn_original(tmp_path: Path) -> None:
+    """The exact linearisation of the turbine; of the dq file only what other tools have, f above zero."""
+    from seqsweep.tuning.siso import parse_grid
+    from seqsweep.tuning.tune import tune
+
+    from .oracle import admittance_pn
+
+    f_hz = np.concatenate([np.geomspace(2.0, 45.0, 25), np.geomspace(55.0, 1000.0, 30)])
+    y = admittance_pn(f_hz, 0.65e6, 690.0)
+    above = f_hz > 50.0
+    y_dq = np.array([dq_of(one) for one in y[above]])
+    path = text(tmp_path / "dq.csv", FOREIGN["dq"][0], [f_hz[above] - 50.0, *parts(y_dq, np.real, np.imag)])
+    given = {**GIVEN, "f1_hz": 50.0, "quantity": "admittance", "op_id": "p065", "terminal_voltage_pu": 1.0}
+    found = imported(path, **given, active_power_mw=0.65)
+    whole = FrequencyResponse(f_hz, y, 50.0, meta=found.meta["operating_points"][0])
+    grid = parse_grid("0.012+0.25j", 50.0, 1.2)
+    one, other = (tune(table, grid).points[0] for table in (found, Table(found.meta, (whole,))))
+    assert one.verdict == other.verdict == "stable"
+    assert one.margin_m == pytest.approx(other.margin_m, rel=1e-3)  # what the fit's 55 and 30 points differ by
+    assert one.critical_scale == pytest.approx(other.critical_scale, rel=1e-3)
+
+
 HEADERS = {
     "f [Hz]": ("f", "", "", "Hz"),
     "Frequency (rad/s)": ("f", "", "", "rad/s"),
@@ -371,7 +394,7 @@ def test_a_header_says_what_its_column_is(header: str) -> None:
     assert (found.what, found.element, found.part, found.unit) == HEADERS[header]
 
 
-def saved_frd(path: Path, version: str) -> Path:
+def saved_frd(path: Path, version: str, delay_s: float = 0.0) -> Path:
     """An object built like MATLAB's: an frd whose data are an object inside it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -383,6 +406,7 @@ def saved_frd(path: Path, version: str) -> Path:
         "Frequency": 2.0 * np.pi * (F_HZ - F1_HZ)[:, np.newaxis],
         "FreqUnits": np.array(["rad/s"]),
         "Ts": np.array([[0.0]]),
+        "Delay": {"Input": np.array([[0.0], [delay_s]]), "Output": np.array([[0.0], [0.0]])},
     }
     data = MatlabOpaque(inner, classname="ltipack.frddata")
     outer = MatlabOpaque({"Data_": data, "IOSize_": np.array([[2.0, 2.0]])}, classname="frd")
@@ -396,6 +420,12 @@ def test_a_saved_frd_object_is_read(tmp_path: Path, version: str) -> None:
     found = imported(path, **GIVEN, frame="dq", quantity="admittance", unit="S")
     assert_close(found.responses[0].y, Y)
     np.testing.assert_allclose(found.responses[0].f_hz, F_HZ, rtol=1e-12)
+
+
+def test_an_frd_object_that_keeps_its_delays_apart_is_refused(tmp_path: Path) -> None:
+    path = saved_frd(tmp_path / "g.mat", "v7", delay_s=1e-4)
+    with pytest.raises(ExchangeError, match=r"save absorbDelay\(G\)"):
+        imported(path, **GIVEN, frame="dq", quantity="admittance", unit="S")
 
 
 def test_a_matrix_with_the_frequency_first_is_read(tmp_path: Path) -> None:
@@ -486,7 +516,7 @@ GARBAGE: dict[str, tuple[bytes, str]] = {
     "only a header.csv": (BASE_HEADER.encode(), "a header, and no rows"),
     "blank.csv": (b"\n\n", "no header and no rows"),
     "ragged.csv": (BASE_HEADER.encode() + b"\n1,2,3\n", "row 1 has 3 cells, the header 9"),
-    "quote.csv": (b'a,b\n"1"2,3\n', "not ,-separated"),
+    "quote.csv": (b'a,b\n"1"2,3\n', "not comma-separated"),
     "text.mat": (b"not matlab" * 60, "not a .mat file"),
     "truncated.mat": (MAT_HEAD + struct.pack("<II", 15, 4000) + b"x", "truncated"),
     "no matrix.s2p": (b"hello\n", "no option line"),
@@ -510,7 +540,7 @@ def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
     for name in ("y.csv", "y.mat", "y.s2p"):
         with open(tmp_path / name, "wb") as file:
             file.truncate(20 * 2**30)  # sparse: nothing is on the disk
-        with pytest.raises(ExchangeError, match="has 20480 MiB; at most 512 MiB are read"):
+        with pytest.raises(ExchangeError, match="has 20480 MiB; at most 128 MiB are read"):
             imported(tmp_path / name, **GIVEN)
 
 
@@ -527,7 +557,7 @@ def test_a_bomb_of_version_73_is_refused_before_it_goes_off(tmp_path: Path) -> N
 
     with h5py.File(tmp_path / "bomb.mat", "w") as file:
         file.create_dataset("Y", (2**40,), "f4", chunks=(1024,), compression="gzip")  # nothing is on the disk
-    with pytest.raises(ExchangeError, match="holds 4194304 MiB; at most 512 MiB"):
+    with pytest.raises(ExchangeError, match="holds 4194304 MiB; at most 128 MiB"):
         imported(tmp_path / "bomb.mat", **GIVEN)
 
 
@@ -549,7 +579,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(
 def complaint(path: Path, kind: str) -> str:
     """What is said against a file; anything but a refusal in words is a failure of the test."""
     try:
-        exchange.to_table(read_file(path, kind, GIVEN), path)
+        to_table(read_file(path, kind, GIVEN), path)
     except ExchangeError as refusal:
         return str(refusal)
     return ""
