@@ -35,8 +35,8 @@ OPTIONS = {
     "phase_unit": "--phase-unit deg|rad",
     "frequency_unit": "--frequency-unit Hz|kHz|rad/s",
     "q_axis": "--q-axis leading|lagging",
-    "rated_voltage_v": "--rated-voltage V",
-    "rated_power_va": "--rated-power VA",
+    "rated_voltage_v": "--rated-voltage-v V",
+    "rated_power_va": "--rated-power-va VA",
 }
 """Facts and the options that give them."""
 
@@ -114,6 +114,9 @@ def agreed(said: Facts, given: Facts, path: str | Path) -> dict[str, Any]:
         if key in OPTIONS and key in known and known[key] != value:
             raise ExchangeError(f"{path} says {key} = {known[key]}, {_option(key)} says {value}; leave the option out")
         known[key] = value
+    for key in ("unit", "frequency_unit"):
+        if not isinstance(known.get(key, ""), str):
+            raise ExchangeError(f"{path}: {key} is {known[key]!r}; needed: a text ({OPTIONS[key]})")
     for key, words in WORDS.items():
         if key in known and known[key] not in words:
             raise ExchangeError(f"{path}: {key} is {known[key]!r}; needed: {' or '.join(words)} ({OPTIONS[key]})")

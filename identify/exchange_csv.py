@@ -48,7 +48,7 @@ def write_csv(path: str | Path, out: Outgoing) -> None:
     text = io.StringIO()
     for key, value in comments.items():
         text.write(f"# {key}: {canonical_json(value)}\n")
-    writer = csv.writer(text, lineterminator="\n")
+    writer = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_NONNUMERIC)
     for number, response in enumerate(out.responses):
         columns = _columns(response)
         if number == 0:
@@ -71,7 +71,8 @@ def _columns(response: FrequencyResponse) -> dict[str, list[Any]]:
     if response.frame == "pn":
         std = std_of(np.asarray(response.covariance))
         columns.update({f"y_{name}_std [S]": std[:, k] for k, name in enumerate(names)})
-    columns |= {"status": response.status, "reason": response.reason, **response.quality}
+    reasons = [" ".join(str(reason).split()) for reason in np.asarray(response.reason)]  # one row, one line
+    columns |= {"status": response.status, "reason": reasons, **response.quality}
     return {name: np.asarray(values).tolist() for name, values in columns.items()}
 
 
@@ -135,7 +136,7 @@ def _lines(path: Path) -> Iterator[str]:
             except UnicodeDecodeError:
                 text = line.decode("latin-1")
             if text.strip():
-                yield text.rstrip("\r\n")
+                yield text
 
 
 def _split(path: Path, lines: Iterable[str], delimiter: str | None) -> Iterator[list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 from typing import Any
 
@@ -30,14 +31,14 @@ def to_control(response: FrequencyResponse) -> Any:
         frame Y(-f) is not the conjugate of Y(f).
     """
     control = extra("control", "control")
-    ok = response.ok
+    ok = _rows(response)
     second = {"pn": ("p", "n_conj"), "dq": ("d", "q")}[response.frame]
     return control.frd(
         np.moveaxis(response.y[ok], 0, -1),
         2.0 * pi * response.f_hz[ok],
         inputs=[f"v_{name}" for name in second],
         outputs=[f"i_{name}" for name in second],
-        name=str(response.meta.get("op_id", "y")).replace(".", "_"),
+        name=re.sub(r"\W", "_", str(response.meta.get("op_id", "y"))),
     )
 
 
@@ -59,9 +60,9 @@ def to_network(response: FrequencyResponse, z0_ohm: float = 50.0) -> Any:
         reference would lose more than `ROUND_TRIP` of Y.
     """
     skrf = extra("skrf", "scikit-rf")
-    ok = response.ok
+    ok = _rows(response)
     f_hz, y = response.f_hz[ok], response.y[ok]
-    if len(f_hz) and f_hz[0] < 0.0:
+    if f_hz[0] < 0.0:
         raise ExchangeError(
             f"{f_hz[0]:g} Hz in the {response.frame} frame: a scikit-rf Network, and so Touchstone, holds no negative "
             "frequencies; use the pn frame (--frame pn)"
@@ -101,3 +102,10 @@ def to_xarray(table: Table) -> Any:
     coordinates = {"op_id": list(table.op_ids), "f_hz": f_hz, "row": names, "column": names}
     attributes = {"f1_hz": table.meta["f1_hz"], "frame": "pn", "direction": table.meta["direction"]}
     return xarray.Dataset(variables, coordinates, attributes)
+
+
+def _rows(response: FrequencyResponse) -> np.ndarray:
+    """(n,) bool: the rows that go out."""
+    if not np.any(response.ok):
+        raise ExchangeError(f"{response.meta.get('op_id', 'the response')}: no row is ok: there is nothing to hand on")
+    return response.ok

@@ -12,8 +12,8 @@ import numpy as np
 from .exchange import OPTIONS, ExchangeError, Facts, Found, Sheet, file_digest, need
 from .frames import to_frame
 from .response import Frame, FrequencyResponse
-from .table import TableError, canonical_json, rows_of
-from .table_rules import row_violations
+from .table import TableError, complete_metadata, rows_of
+from .table_rules import metadata_violations, row_violations
 
 # In
 
@@ -41,8 +41,8 @@ def to_table(found: Found, path: str | Path) -> tuple[list[FrequencyResponse], d
         "configuration": {"imported": {"file": Path(path).name, "sha256": digest, "read_as": read_as}},
         "plant": {"id": "imported", "sha256": digest},
     }
-    canonical_json(meta)
-    if violations := row_violations(rows_of(responses), meta):
+    violations = metadata_violations(complete_metadata(meta)) or row_violations(rows_of(responses), meta)
+    if violations:
         raise ExchangeError(f"{path}: {violations[0]}")
     return responses, meta
 

@@ -266,8 +266,8 @@ def import_command(
     phase_unit: Annotated[str | None, typer.Option(help="deg or rad.")] = None,
     frequency_unit: Annotated[str | None, typer.Option(help="Hz, kHz or rad/s.")] = None,
     q_axis: Annotated[str | None, typer.Option(help="leading (default) or lagging the d axis.")] = None,
-    rated_voltage: Annotated[float | None, typer.Option(metavar="V", help="Rated line-to-line RMS.")] = None,
-    rated_power: Annotated[float | None, typer.Option(metavar="VA", help="Rated apparent power.")] = None,
+    rated_voltage_v: Annotated[float | None, typer.Option(metavar="V", help="Rated line-to-line RMS.")] = None,
+    rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Rated apparent power.")] = None,
     op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
     active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
     terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
@@ -286,8 +286,8 @@ def import_command(
         "phase_unit": phase_unit,
         "frequency_unit": frequency_unit,
         "q_axis": q_axis,
-        "rated_voltage_v": rated_voltage,
-        "rated_power_va": rated_power,
+        "rated_voltage_v": rated_voltage_v,
+        "rated_power_va": rated_power_va,
         "op_id": op,
         "active_power_mw": active_power_mw,
         "terminal_voltage_pu": terminal_voltage_pu,
@@ -352,6 +352,8 @@ def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant]:
     from .plan import make_plan
 
     config = load_config(campaign, settings or ())
+    if config.plant.id == "external":
+        raise _WrongInput(f"{campaign}: an external device cannot be driven from here; seqsweep inject writes files")
     plant = make_plant(config.plant.id, config.plant.parameters)
     planned = make_plan(config, plant)
     for warning in planned.warnings:

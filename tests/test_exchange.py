@@ -126,6 +126,43 @@ def test_failed_rows_keep_their_status_and_reason(tmp_path: Path, name: str) -> 
     np.testing.assert_array_equal(np.isnan(found.y), np.isnan(y))
 
 
+@pytest.mark.parametrize("name", ["y.csv", "y.mat"])
+def test_odd_names_and_reasons_survive(tmp_path: Path, name: str) -> None:
+    y = random_y()
+    y[2] = complex(np.nan, np.nan)
+    status, reason = ["ok"] * 6, [""] * 6
+    status[2], reason[2] = "failed", 'a "quote", a comma;\n# and a line'
+    one = response(y, op_id="#1, odd", status=np.array(status), reason=np.array(reason))
+    export_table(written(tmp_path / "y.parquet", one), tmp_path / name, name[-3:])
+    found = imported(tmp_path / name)
+    assert found.op_ids == ("#1, odd",)
+    expected = " ".join(reason[2].split()) if name == "y.csv" else reason[2]  # one row of text is one line
+    assert np.asarray(found.responses[0].reason)[2] == expected
+
+
+def test_standard_deviations_go_out(tmp_path: Path) -> None:
+    import pandas
+    from scipy.io import loadmat
+
+    variances = np.arange(1.0, 9.0) * 1e-6
+    covariance = np.tile(np.diag(variances), (6, 1, 1))
+    table = written(tmp_path / "y.parquet", response(random_y(), covariance=covariance))
+    std = np.sqrt(variances[0::2] + variances[1::2])
+    export_table(table, tmp_path / "y.csv", "csv")
+    frame = pandas.read_csv(tmp_path / "y.csv", comment="#")
+    np.testing.assert_allclose(frame["y_pn_std [S]"], std[1], rtol=1e-14)
+    export_table(table, tmp_path / "y.mat", "mat")
+    np.testing.assert_allclose(loadmat(tmp_path / "y.mat")["Y_std"][:, :, 3], std.reshape(2, 2), rtol=1e-14)
+
+
+def test_nothing_that_is_ok_is_nothing_to_hand_on() -> None:
+    y = np.full((6, 2, 2), complex(np.nan, np.nan))
+    one = response(y, status=np.full(6, "failed"), reason=np.full(6, "why"))
+    for hand_on in (to_control, to_network):
+        with pytest.raises(ExchangeError, match="p065: no row is ok"):
+            hand_on(one)
+
+
 def test_touchstone_says_that_rows_were_left_out(tmp_path: Path) -> None:
     y = random_y()
     y[2] = complex(np.nan, np.nan)
@@ -459,7 +496,7 @@ def changed(row: int, column: int, value: Any) -> list[Any]:
 REFUSED: dict[str, tuple[str, list[Any], dict[str, Any], str]] = {
     "no f1": (BASE_HEADER, BASE, {"f1_hz": None}, "does not say its f1_hz: give --f1 HZ"),
     "no direction": (BASE_HEADER, BASE, {"direction": None}, "give --direction load|generator"),
-    "no rating": (BASE_HEADER, BASE, {"rated_power_va": None}, "give --rated-power VA"),
+    "no rating": (BASE_HEADER, BASE, {"rated_power_va": None}, "give --rated-power-va VA"),
     "no unit": (BASE_HEADER.replace(" [S]", ""), BASE, {}, "give --unit"),
     "no frame": (
         f"f [Hz],{names('11 12 21 22', 'Y{}_re [S]', 'Y{}_im [S]')}", BASE, {}, "give --frame pn|dq",
@@ -514,6 +551,15 @@ GARBAGE: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "is empty"),
     "binary.csv": (b"\x00\x01" * 100, "not text"),
     "only a header.csv": (BASE_HEADER.encode(), "a header, and no rows"),
+    "odd fact.csv": (b"# unit: [1]\n" + BASE_HEADER.encode() + b"\n1,1,1,1,1,1,1,1,1\n", "unit is [1]; needed: a text"),
+    "odd point.csv": (
+        b'# operating_points: [{"op_id": "", "active_power_mw": "much"}]\n' + BASE_HEADER.encode() + b"\n1" + b",1" * 8,
+        "operating_points[0].active_power_mw: 'much' is not of type",
+    ),
+    "novel.csv": (
+        b"status," + BASE_HEADER.encode() + b"\n" + b"x" * 2000 + b",1" * 9,
+        "a text of more than 1000 characters",
+    ),
     "blank.csv": (b"\n\n", "no header and no rows"),
     "ragged.csv": (BASE_HEADER.encode() + b"\n1,2,3\n", "row 1 has 3 cells, the header 9"),
     "quote.csv": (b'a,b\n"1"2,3\n', "not comma-separated"),

@@ -310,6 +310,13 @@ def test_the_command_writes_files_and_says_how_many(tmp_path: Path) -> None:
     assert json.loads((out / "manifest.json").read_text())["f1_hz"] == 60.0
 
 
+def test_a_campaign_for_a_device_elsewhere_is_not_run(tmp_path: Path) -> None:
+    path = campaign(tmp_path, plant="external")
+    done = call("run", path, "-o", tmp_path / "y.parquet")
+    assert done.returncode == 2
+    assert "cannot be driven from here; inject writes files for it" in done.stderr
+
+
 WRONG_CALLS = {
     "format": (["--format", "wav"], "known are csv, comtrade, pscad, mat"),
     "encoding": (["--format", "comtrade", "--encoding", "GREY"], "known are ASCII, BINARY, BINARY32 and FLOAT32"),
