@@ -314,7 +314,7 @@ def test_a_campaign_for_a_device_elsewhere_is_not_run(tmp_path: Path) -> None:
     path = campaign(tmp_path, plant="external")
     done = call("run", path, "-o", tmp_path / "y.parquet")
     assert done.returncode == 2
-    assert "cannot be driven from here; inject writes files for it" in done.stderr
+    assert "cannot be driven from here; seqsweep inject writes files" in done.stderr
 
 
 WRONG_CALLS = {
