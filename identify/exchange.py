@@ -59,7 +59,10 @@ Facts = Mapping[str, Any]
 
 
 class ExchangeError(ValueError):
-    """A file that cannot become a table, or a response that a format cannot hold."""
+    """A file that cannot become a table, or a response that a format cannot hold; one line, whatever the file holds."""
+
+    def __init__(self, text: str):
+        super().__init__(" ".join(text.split()))
 
 
 @dataclass(frozen=True, slots=True)

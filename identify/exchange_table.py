@@ -29,7 +29,8 @@ def to_table(found: Found, path: str | Path) -> tuple[list[FrequencyResponse], d
     facts = found.facts
     f1_hz = float(need(facts, "f1_hz", path))
     points = [_point(sheet, facts, number, len(found.sheets)) for number, sheet in enumerate(found.sheets)]
-    responses = [_response(sheet, point, facts, path) for sheet, point in zip(found.sheets, points, strict=True)]
+    with np.errstate(all="ignore"):  # what overflows is found when the rows are checked
+        responses = [_response(sheet, point, facts, path) for sheet, point in zip(found.sheets, points, strict=True)]
     bases = {key: float(need(facts, key, path)) for key in ("rated_voltage_v", "rated_power_va")}
     digest = file_digest(path)
     read_as = {key: facts[key] for key in OPTIONS if key in facts and key not in bases}

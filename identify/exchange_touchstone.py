@@ -7,10 +7,10 @@ disagree on how they are scaled.
 
 from __future__ import annotations
 
+import io
 import re
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -68,13 +68,11 @@ def read_touchstone(path: str | Path, given: Facts) -> Found:
     text = check_file(path).read_bytes().decode("latin-1")
     comments = [line.lstrip()[1:].strip() for line in text.splitlines() if line.lstrip().startswith("!")]
     _check_parameters(path, text)
-    network = _network(path)
-    if network.nports != 2:
-        raise ExchangeError(f"{path} has {network.nports} ports; needed: 2")
+    f_hz, y = _admittance(path, text)
     said = facts_of(comments)
     said.update(quantity="admittance", unit="S", frequency_unit="Hz")
     point = next(iter(points_of(said)), {})
-    return Found((Sheet(np.asarray(network.f), np.asarray(network.y), point),), agreed(said, given, path))
+    return Found((Sheet(f_hz, y, point),), agreed(said, given, path))
 
 
 def _check_parameters(path: str | Path, text: str) -> None:
@@ -88,11 +86,20 @@ def _check_parameters(path: str | Path, text: str) -> None:
         )
 
 
-def _network(path: str | Path) -> Any:
+def _admittance(path: str | Path, text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (n,) in Hz and Y (n, 2, 2) in S, not finite where S has none."""
     skrf = extra("skrf", "scikit-rf")
+    stream = io.StringIO(text)  # a file of its own it would leave open where its parser fails
+    name = Path(path).name.lower()
+    stream.name = name if re.search(r"\.s\d+p$", name) else f"{name}.s2p"  # the suffix tells it the ports
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return skrf.Network(str(path))
+            network = skrf.Network(stream)
+            if network.nports != 2:
+                raise ExchangeError(f"{path} has {network.nports} ports; needed: 2")
+            return np.asarray(network.f), np.asarray(network.y)
+    except ExchangeError:
+        raise
     except Exception as error:  # it raises whatever its parser met
-        raise ExchangeError(f"{path}: scikit-rf cannot read it: {str(error).splitlines()[0][:200]}") from None
+        raise ExchangeError(f"{path}: scikit-rf cannot read it: {str(error)[:200]}") from None
