@@ -115,7 +115,7 @@ def agreed(said: Facts, given: Facts, path: str | Path) -> dict[str, Any]:
         if value is None:
             continue
         if key in OPTIONS and key in known and known[key] != value:
-            raise ExchangeError(f"{path} says {key} = {known[key]}, {_option(key)} says {value}; leave the option out")
+            raise ExchangeError(f"{path} says {key} = {known[key]}; that contradicts {_option(key)} {value}")
         known[key] = value
     for key in ("unit", "frequency_unit"):
         if not isinstance(known.get(key, ""), str):

@@ -96,7 +96,7 @@ def read_csv(path: str | Path, given: Facts) -> Found:
     """
     comments, header, rows = _opened(check_file(path))
     columns = [column_of(name) for name in header]
-    said = {**said_by_columns(path, columns), **facts_of(comments)}
+    said = agreed(said_by_columns(path, columns), facts_of(comments), path)
     facts = agreed(said, given, path)
     cells = _cells(path, header, columns, rows)
     frequency = _frequency(path, columns, cells, facts)
@@ -189,6 +189,8 @@ def _frequency(path: str | Path, columns: Sequence[Column], cells: Sequence[np.n
         what = "no column" if not found else f"{len(found)} columns"
         raise ExchangeError(f"{path}: {what} of frequencies; needed: one, named f or frequency, its unit in brackets")
     unit = columns[found[0]].unit or need(facts, "frequency_unit", path)
+    if np.any(cells[found[0]].imag != 0.0):
+        raise ExchangeError(f"{path}: a frequency has an imaginary part")
     return np.asarray(cells[found[0]].real * frequency_factor(unit, path))
 
 
@@ -217,6 +219,8 @@ def _in_si(path: str | Path, column: Column, values: np.ndarray, facts: Facts) -
     """S, ohm or rad; decibels are those of a magnitude in S or ohm."""
     if column.part == "phase":
         unit = column.unit or need(facts, "phase_unit", path)
+        if unit not in ("deg", "rad"):
+            raise ExchangeError(f"{path}: a phase in {unit!r}; known are deg and rad")
         return np.deg2rad(values) if unit == "deg" else values
     if column.unit == "dB":
         return np.asarray(10.0 ** (values / 20.0))
@@ -248,7 +252,7 @@ def _sheets(
     named = {column.what: values for column, values in zip(columns, cells, strict=True)}
     op_id = named.get("op_id", np.full(len(f_hz), ""))
     quality = {key: named[key] for key in QUALITY if key in named}
-    points = {point.get("op_id"): point for point in points_of(said)}
+    points = {str(point.get("op_id")): point for point in points_of(said)}
     sheets = []
     for name in dict.fromkeys(op_id.tolist()):
         rows = op_id == name

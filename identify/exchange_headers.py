@@ -25,10 +25,13 @@ _PARTS = {
     **dict.fromkeys(("phase", "ph", "arg", "angle", "ang", "deg", "rad"), "phase"),
 }
 _UNITS = {
-    "hz": "Hz", "khz": "kHz", "rad/s": "rad/s", "s": "S", "ms": "mS", "us": "uS", "µs": "uS", "μs": "uS", "ks": "kS",
-    "1/ohm": "1/ohm", "ohm": "ohm", "ω": "ohm", "mohm": "mohm", "mω": "mohm", "kohm": "kohm", "kω": "kohm", "pu": "pu",
-    "p.u.": "pu", "db": "dB", "deg": "deg", "°": "deg", "degrees": "deg", "rad": "rad", "dbs": "dB",
-}  # fmt: skip
+    **{name: name for name in ("Hz", "kHz", "rad/s", "S", "mS", "uS", "kS", "1/ohm", "pu", "dB", "deg", "rad")},
+    **{"hz": "Hz", "HZ": "Hz", "khz": "kHz", "µS": "uS", "μS": "uS", "1/Ω": "1/ohm", "p.u.": "pu", "db": "dB"},
+    **{f"{prefix}{ohm}": f"{prefix}ohm" for prefix in ("", "m", "k") for ohm in ("ohm", "Ohm", "Ω", "\N{OHM SIGN}")},
+    **{"°": "deg", "degrees": "deg", "radians": "rad"},
+}
+"""Units as they are written; capitals count, 1 MS is not 1 mS."""
+
 _FREQUENCY = {"f": None, "freq": None, "frequency": None, "omega": "rad/s", "w": "rad/s", "hz": "Hz"}
 
 
@@ -53,34 +56,37 @@ def variables_header(path: str | Path, header: Sequence[str]) -> list[str]:
 
 
 def column_of(header: str) -> Column:
-    """Recognise a header such as ``f [Hz]``, ``y_pp_re [S]``, ``|Ydq| (dB)``, ``phase(Z21) [deg]`` or ``imag_nn``."""
-    text = header.strip().lower()
-    unit = None
-    if found := re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", text):
-        unit = _UNITS.get(found[1])
-        if unit is not None or text.endswith("]"):
-            text = text[: found.start()]
+    """Recognise a header such as ``f [Hz]``, ``y_pp_re [S]``, ``|Ydq| (dB)``, ``phase(Z21) [deg]`` or ``imag_nn``.
+
+    What stands in brackets at the end is the unit, known or not; in parentheses, only if it is known.
+    """
+    text, unit = header.strip(), None
+    if found := re.search(r"\[\s*([^\[\]]+?)\s*\]$|\(\s*([^()]+?)\s*\)$", text):
+        unit = _UNITS.get(found[1] or found[2], found[1])
+        text = text if unit is None else text[: found.start()].rstrip()
+    if text in (*QUALITY, "op_id", "status", "reason"):
+        return Column(text)
     tokens = [token for token in re.split(r"[\W_]+", text.replace("|", " abs ").replace("∠", " phase ")) if token]
-    if text.strip() in (*QUALITY, "op_id", "status", "reason"):
-        return Column(text.strip())
-    if tokens and tokens[0] in _FREQUENCY and "mirror" not in tokens:
-        named = next((_UNITS[token] for token in tokens if token in ("hz", "khz")), None)
-        return Column("f", unit=unit or named or _FREQUENCY[tokens[0]])
+    first = tokens[0].lower() if tokens else ""
+    if first in _FREQUENCY and "mirror" not in tokens:
+        named = next((_UNITS[token] for token in tokens if token.lower() in ("hz", "khz") and token in _UNITS), None)
+        return Column("f", unit=unit or named or _FREQUENCY[first])
     return _value_column(tokens, unit)
 
 
 def _value_column(tokens: Sequence[str], unit: str | None) -> Column:
     quantity = element = part = None
     for token in tokens:
-        bare = token[1:] if token[:1] in ("y", "z") and token[1:] in POSITION else token
-        if token in ("y", "z") or bare != token:
-            quantity = {"y": "admittance", "z": "impedance"}[token[0]]
+        word = token.lower()
+        bare = word[1:] if word[:1] in ("y", "z") and word[1:] in POSITION else word
+        if word in ("y", "z") or bare != word:
+            quantity = {"y": "admittance", "z": "impedance"}[word[0]]
         if bare in POSITION:
             element = bare
-        elif token in _PARTS:
-            part = part or _PARTS[token]
-            unit = unit or {"db": "dB", "deg": "deg", "rad": "rad"}.get(token)
-        elif token in ("std", "mirror"):
+        elif word in _PARTS:
+            part = part or _PARTS[word]
+            unit = unit or {"db": "dB", "deg": "deg", "rad": "rad"}.get(word)
+        elif word in ("std", "mirror"):
             return Column("other")
         elif unit is None:
             unit = _UNITS.get(token)

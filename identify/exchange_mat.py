@@ -232,7 +232,7 @@ def _variables(path: str | Path) -> dict[str, Any]:
         if head[116:124].strip(b"\0 "):  # where the objects of the file are kept
             return _public(_load_any(path))
         return _public(loadmat(path))
-    except (ExchangeError, MemoryError):
+    except ExchangeError:
         raise
     except Exception as error:  # readers raise whatever they trip over in a damaged file
         raise ExchangeError(f"{path}: damaged, or not a .mat file ({str(error).partition(chr(10))[0][:200]})") from None

@@ -10,7 +10,7 @@ import numpy as np
 
 from .exchange import ExchangeError, extra
 from .response import FrequencyResponse
-from .table import ELEMENTS, Table
+from .table import ELEMENTS, Table, std_of
 
 ROUND_TRIP = 1e-12
 """Largest relative error (norm of a 2x2) that scattering parameters may bring."""
@@ -68,11 +68,12 @@ def to_network(response: FrequencyResponse, z0_ohm: float = 50.0) -> Any:
             "frequencies; use the pn frame (--frame pn)"
         )
     network = skrf.Network(f=f_hz, f_unit="Hz", y=y, z0=z0_ohm, name=str(response.meta.get("op_id", "y")))
-    lost = np.linalg.norm(network.y - y, axis=(1, 2)) / np.linalg.norm(y, axis=(1, 2))
-    if not np.all(lost <= ROUND_TRIP):
+    norm, lost = (np.linalg.norm(value, axis=(1, 2)) for value in (y, network.y - y))
+    if np.any(~(lost <= ROUND_TRIP * norm)):
+        part = lost / np.where(norm > 0.0, norm, 1.0)
         raise ExchangeError(
-            f"scattering parameters for {z0_ohm:g} ohm lose {np.nanmax(lost):.1e} of Y at "
-            f"{f_hz[np.argmax(lost)]:g} Hz; choose a reference impedance near the device's own (--z0 OHM)"
+            f"scattering parameters for {z0_ohm:g} ohm lose {part.max():.1e} of Y at {f_hz[np.argmax(part)]:g} Hz; "
+            "choose a reference impedance near the device's own (--z0 OHM)"
         )
     return network
 
@@ -93,6 +94,7 @@ def to_xarray(table: Table) -> Any:
     axes = ("op_id", "f_hz", "row", "column")
     variables = {
         "y": (axes, np.stack([response.y for response in responses]), {"unit": "S"}),
+        "std": (axes, np.stack([_std(response) for response in responses]), {"unit": "S"}),
         "status": (axes[:2], np.stack([np.asarray(response.status) for response in responses])),
         "f_mirror_hz": ("f_hz", responses[0].f_mirror_hz, {"unit": "Hz"}),
     }
@@ -102,6 +104,11 @@ def to_xarray(table: Table) -> Any:
     coordinates = {"op_id": list(table.op_ids), "f_hz": f_hz, "row": names, "column": names}
     attributes = {"f1_hz": table.meta["f1_hz"], "frame": "pn", "direction": table.meta["direction"]}
     return xarray.Dataset(variables, coordinates, attributes)
+
+
+def _std(response: FrequencyResponse) -> np.ndarray:
+    """Standard deviations (n, 2, 2) of the complex elements (S)."""
+    return std_of(np.asarray(response.covariance)).reshape(-1, 2, 2)
 
 
 def _rows(response: FrequencyResponse) -> np.ndarray:

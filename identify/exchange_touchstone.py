@@ -8,6 +8,7 @@ disagree on how they are scaled.
 from __future__ import annotations
 
 import io
+import json
 import re
 import warnings
 from pathlib import Path
@@ -27,7 +28,7 @@ from .exchange import (
 )
 from .exchange_objects import to_network
 from .exchange_table import Outgoing, the_one
-from .table import atomic_file, canonical_json
+from .table import atomic_file
 
 
 def write_touchstone(path: str | Path, out: Outgoing, z0_ohm: float | None = None) -> None:
@@ -51,10 +52,10 @@ def write_touchstone(path: str | Path, out: Outgoing, z0_ohm: float | None = Non
     z0_ohm = z0_ohm or facts["rated_voltage_v"] ** 2 / facts["rated_power_va"]
     network = to_network(response, z0_ohm)
     comments = {"written_by": "seqsweep", **facts, "operating_points": [out.point(str(response.meta["op_id"]))]}
-    network.comments = "\n".join(f"{key}: {canonical_json(value)}" for key, value in comments.items())
+    network.comments = "\n".join(f"{key}: {json.dumps(value)}" for key, value in comments.items())  # in ASCII
     text = network.write_touchstone(return_string=True, form="ri", r_ref=z0_ohm, skrf_comment=False)
     with atomic_file(path) as file:
-        file.write(text.encode("latin-1", "replace"))
+        file.write(text.encode("ascii"))
 
 
 def read_touchstone(path: str | Path, given: Facts) -> Found:

@@ -126,6 +126,11 @@ def test_failed_rows_keep_their_status_and_reason(tmp_path: Path, name: str) -> 
     np.testing.assert_array_equal(np.isnan(found.y), np.isnan(y))
 
 
+def test_touchstone_keeps_a_name_beyond_ascii(tmp_path: Path) -> None:
+    export_table(written(tmp_path / "y.parquet", response(random_y(), op_id="Süd")), tmp_path / "y.s2p", "touchstone")
+    assert imported(tmp_path / "y.s2p").op_ids == ("Süd",)
+
+
 @pytest.mark.parametrize("name", ["y.csv", "y.mat"])
 def test_odd_names_and_reasons_survive(tmp_path: Path, name: str) -> None:
     y = random_y()
@@ -422,6 +427,11 @@ HEADERS = {
     "Ynp_phase_deg": ("value", "np", "phase", "deg"),
     "amplitude_pu": ("amplitude_pu", "", "", None),
     "comment": ("other", "", "", None),
+    "Re(Ypp)": ("value", "pp", "re", None),
+    "Ypp_re_S": ("value", "pp", "re", "S"),
+    "Zdd_re [MΩ]": ("value", "dd", "re", "MΩ"),
+    "Zdd_re [mΩ]": ("value", "dd", "re", "mohm"),
+    "HZ": ("f", "", "", "Hz"),
 }
 
 
@@ -506,10 +516,15 @@ REFUSED: dict[str, tuple[str, list[Any], dict[str, Any], str]] = {
     "no phase unit": (
         f"f [Hz],{names('pp pn np nn', 'Y{}_mag [S]', 'Y{}_phase')}", BASE, {}, "give --phase-unit deg|rad",
     ),
-    "contradiction": (BASE_HEADER, BASE, {"frame": "dq"}, "says frame = pn, --frame says dq"),
+    "contradiction": (BASE_HEADER, BASE, {"frame": "dq"}, "says frame = pn; that contradicts --frame dq"),
     "odd direction": (BASE_HEADER, BASE, {"direction": "motor"}, "needed: load or generator"),
     "odd f1": (BASE_HEADER, BASE, {"f1_hz": -50.0}, "needed: a number above 0"),
     "odd unit": (BASE_HEADER.replace("[S]", "[ohm]"), BASE, {}, "unit 'ohm' of an admittance; known are S"),
+    "mega is not milli": (BASE_HEADER.replace("[S]", "[MS]"), BASE, {}, "unit 'MS' of an admittance; known are S"),
+    "phase in percent": (
+        f"f [Hz],{names('pp pn np nn', 'Y{}_mag [S]', 'Y{}_phase [%]')}", BASE, {}, "a phase in '%'; known are deg",
+    ),
+    "imaginary": (BASE_HEADER, changed(1, 0, "23.7+1j"), {}, "a frequency has an imaginary part"),
     "missing column": (BASE_HEADER, BASE, {}, "element nn or qq or 22: re found; needed: re and im"),
     "no frequency": (BASE_HEADER.replace("f [Hz]", "g [Hz]"), BASE, {}, "no column of frequencies"),
     "mixed frames": (BASE_HEADER.replace("pn", "dq"), BASE, {}, "columns of dq and pn in one file"),
@@ -552,6 +567,14 @@ GARBAGE: dict[str, tuple[bytes, str]] = {
     "binary.csv": (b"\x00\x01" * 100, "not text"),
     "only a header.csv": (BASE_HEADER.encode(), "a header, and no rows"),
     "odd fact.csv": (b"# unit: [1]\n" + BASE_HEADER.encode() + b"\n1,1,1,1,1,1,1,1,1\n", "unit is [1]; needed: a text"),
+    "contradiction.csv": (
+        b'# frame: "dq"\n' + BASE_HEADER.encode() + b"\n1,1,1,1,1,1,1,1,1\n",
+        "says frame = pn; that contradicts --frame dq",
+    ),
+    "odd name.csv": (
+        b'# operating_points: [{"op_id": [1]}]\n' + BASE_HEADER.encode() + 2 * b"\n50,1,1,1,1,1,1,1,1",
+        "50 Hz is there twice",
+    ),
     "odd point.csv": (
         b'# operating_points: [{"op_id": "", "active_power_mw": "much"}]\n' + BASE_HEADER.encode() + b"\n1" + b",1" * 8,
         "operating_points[0].active_power_mw: 'much' is not of type",
