@@ -1,8 +1,8 @@
 """A campaign as files for others to play: the body of ``seqsweep inject``.
 
-The experiments are those of the plan, two per row of the table, at f and at its mirror. They are
-played one after the other, pair after pair, in as few files as the longest one allows: a device that
-settles within a second need not be started anew two hundred times.
+The experiments are those of the plan: two per row of the table, at f and at its mirror, or four of a
+broadband signal. They are played one after the other, pair after pair, in as few files as the longest
+one allows: a device that settles within a second need not be started anew two hundred times.
 """
 
 from __future__ import annotations
@@ -94,7 +94,11 @@ def planned(config: Config, timing: Timing) -> tuple[Plan, Plant]:
     _check_timing(timing)
     plant = _plant(config, timing.rate_hz)
     plan = replace(make_plan(config, plant), probes=frozenset())
-    highest = max(max(point.f_hz, abs(2.0 * plan.f1_hz - point.f_hz)) for point in plan.points)
+    if plan.adaptive is not None:
+        raise InjectError(
+            'spacing = "adaptive" asks on from what it has heard; files need "log", "linear" or a list f_hz'
+        )
+    highest = max(abs(shot.injected_hz) for wanted in _wanted(plan, plan.conditions[0]) for shot in wanted.shots)
     if timing.rate_hz <= 2.0 * highest:
         raise InjectError(
             f"--rate {timing.rate_hz:g} Hz holds tones below {timing.rate_hz / 2:g} Hz; the highest is {highest:g} Hz: "
@@ -209,12 +213,42 @@ class _Wanted(NamedTuple):
 
 
 def _wanted(plan: Plan, condition: Condition) -> Iterator[_Wanted]:
-    """The experiments of the plan, pair after pair."""
+    """The experiments of the plan, pair after pair: f and mirror, or a broadband signal and its opposite."""
+    if plan.signal is not None:
+        yield from _broadband(plan, condition)
+        return
     for point in plan.points:
         for shot in plan.shots_of(condition, point):
             tones = plan.injection(shot).tones
             played = tuple(PlayedTone(shot.f_hz, tone.f_hz, tone.amplitude, tone.phase_rad) for tone in tones)
             yield _Wanted(played, shot.window_blocks * plan.block.duration_s)
+
+
+def _broadband(plan: Plan, condition: Condition) -> Iterator[_Wanted]:
+    """All lines at once, along the axes of a frame at f1 whose angle is zero at the file's first sample.
+
+    Where the voltage stands is not known here, nor needed: along any two axes at right angles the
+    experiments are independent at every line.
+    """
+    rows = np.array([point.f_hz for point in plan.points])
+    window_s = plan.points[0].window_blocks * plan.block.duration_s
+    for play in plan.plays_of(condition):
+        tones = plan.play(play, angle_rad=0.0).tones
+        played = (
+            PlayedTone(_served(rows, tone.f_hz, plan.f1_hz), tone.f_hz, tone.amplitude, tone.phase_rad)
+            for tone in tones
+        )
+        yield _Wanted(tuple(played), window_s)
+
+
+def _served(rows: np.ndarray, injected_hz: float, f1_hz: float) -> float:
+    """The row (Hz) that a line serves: one that was asked for, else the frequency itself or its mirror, above zero."""
+    mirror_hz = 2.0 * f1_hz - injected_hz
+    for f_hz in (injected_hz, mirror_hz):
+        nearest = float(rows[np.argmin(np.abs(rows - f_hz))])
+        if abs(nearest - f_hz) <= 1e-9 * f1_hz:
+            return nearest
+    return injected_hz if injected_hz > 0.0 else mirror_hz
 
 
 def scheduled(plan: Plan, condition: Condition, timing: Timing, suffix: str) -> Iterator[list[Experiment]]:

@@ -109,6 +109,40 @@ def test_windows_hold_whole_periods_of_everything(tmp_path: Path) -> None:
             assert abs(cycles - round(cycles)) < 1e-9 * max(1.0, abs(cycles))
 
 
+def test_a_broadband_signal_is_four_experiments_that_tell_every_row_apart(tmp_path: Path) -> None:
+    """Along d and q, with both signs; heard with a plain Fourier sum, the 2x2 of excitations is far from singular."""
+    injection = {"signal": "multisine", "amplitude_pu": 0.01}
+    band = {"f_min_hz": 10.0, "f_max_hz": 300.0, "points": 8}
+    manifest = played(tmp_path, "csv", injection=injection, sweep=band)
+    data = columns(tmp_path / "shot_000.csv")
+    x = vector(data[:, 1:])
+    assert len(manifest.experiments) == 4
+    assert np.abs(x).max() <= 0.01 * np.sqrt(2.0 / 3.0) * manifest.rated_voltage_v * 1.01  # amplitude_pu is its peak
+    heard = []
+    for experiment in manifest.experiments:
+        first = round((experiment.start_s + experiment.settle_s) * RATE_HZ)
+        part = slice(first, first + round(experiment.duration_s * RATE_HZ))
+        heard.append(
+            {
+                shot.injected_hz: np.mean(x[part] * np.exp(-2j * np.pi * shot.injected_hz * data[part, 0]))
+                for shot in experiment.shots
+            }
+        )
+        for shot in experiment.shots:
+            expected = shot.amplitude * np.exp(1j * shot.phase_rad)
+            assert abs(heard[-1][shot.injected_hz] - expected) < 1e-6 * shot.amplitude
+    for f_hz in {shot.f_hz for shot in manifest.experiments[0].shots}:
+        pairs = [[one[f_hz], np.conj(one[100.0 - f_hz])] for one in (heard[0], heard[2])]
+        assert np.linalg.cond(pairs) < 1.001
+    assert manifest_violations(json.loads((tmp_path / "manifest.json").read_text())) == []
+
+
+def test_an_adaptive_grid_cannot_be_played() -> None:
+    band = {"f_min_hz": 10.0, "f_max_hz": 300.0, "points": 30, "spacing": "adaptive"}
+    with pytest.raises(InjectError, match="asks on from what it has heard"):
+        planned(config(sweep=band), TIMING)
+
+
 def test_a_branch_that_is_fed_from_the_files_has_its_own_admittance(tmp_path: Path) -> None:
     """An R-L branch in the state space of scipy, the fundamental added, listened to where the manifest says."""
     from scipy.signal import lfilter
