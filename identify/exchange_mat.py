@@ -186,13 +186,16 @@ def _parts(value: Any) -> Iterator[Mapping[str, Any]]:
 
 
 def _is_matrix(value: Any) -> bool:
-    numeric = isinstance(value, np.ndarray) and value.dtype.kind in "fc" and value.ndim == 3
-    return numeric and (value.shape[:2] == (2, 2) or value.shape[1:] == (2, 2))
+    numeric = isinstance(value, np.ndarray) and value.dtype.kind in "fc"
+    return numeric and (value.shape == (2, 2) or (value.ndim == 3 and (2, 2) in (value.shape[:2], value.shape[1:])))
 
 
 def _frequency_first(path: str | Path, name: str, matrix: np.ndarray) -> np.ndarray:
-    if matrix.ndim != 3 or (matrix.shape[:2] != (2, 2) and matrix.shape[1:] != (2, 2)):
+    """(n, 2, 2) of 2x2xN, as MATLAB has it, or of Nx2x2; MATLAB drops the third dimension where N is one."""
+    if not _is_matrix(matrix):
         raise ExchangeError(f"{path}: {name} is {'x'.join(map(str, matrix.shape))}; needed: 2x2xN")
+    if matrix.ndim == 2:
+        return matrix[np.newaxis]
     return np.moveaxis(matrix, -1, 0) if matrix.shape[:2] == (2, 2) else matrix
 
 

@@ -110,6 +110,23 @@ def test_in_the_pn_frame_text_and_matlab_keep_every_bit(tmp_path: Path, name: st
     np.testing.assert_array_equal(found.f_hz, F_HZ)
 
 
+@pytest.mark.parametrize("name", ["y.csv", "y.mat", "y.s2p"])
+@pytest.mark.parametrize("n", [1, 2])
+def test_one_row_and_two_come_back_too(tmp_path: Path, name: str, n: int) -> None:
+    table = written(tmp_path / "y.parquet", response(random_y(n), F_HZ[:n]))
+    export_table(table, tmp_path / name, {"csv": "csv", "mat": "mat", "s2p": "touchstone"}[name[-3:]])
+    assert_close(imported(tmp_path / name).responses[0].y, random_y(n))
+
+
+def test_a_single_matrix_without_a_third_dimension_is_read(tmp_path: Path) -> None:
+    """MATLAB drops the last dimension where it is one."""
+    from scipy.io import savemat
+
+    savemat(tmp_path / "m.mat", {"Y": random_y(1)[0], "f_hz": 23.7})
+    found = imported(tmp_path / "m.mat", **GIVEN, frame="pn", unit="S")
+    assert_close(found.responses[0].y, random_y(1))
+
+
 @pytest.mark.parametrize("name", ["y.csv", "y.mat"])
 def test_failed_rows_keep_their_status_and_reason(tmp_path: Path, name: str) -> None:
     y = random_y()
