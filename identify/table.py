@@ -320,6 +320,11 @@ def _row_groups(responses: Iterable[FrequencyResponse], schema: Any) -> Iterator
         yield pending.combine_chunks()
 
 
+def rows_of(responses: Iterable[FrequencyResponse]) -> dict[str, np.ndarray]:
+    """Columns of several responses, one after the other, before they are written: for `table_rules`."""
+    return _joined([_columns(response) for response in responses])
+
+
 def _columns(response: FrequencyResponse) -> dict[str, np.ndarray]:
     """Columns (n,) of one response; ``cov`` is (n, 36)."""
     n = len(response)

@@ -260,6 +260,117 @@ def grid(
         raise typer.Exit(NOT_ALL_OK)
 
 
+@app.command("export")
+def export_command(
+    table: TableFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The suffix decides the format.")],
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Only this operating point.")] = None,
+    frame: Annotated[str, typer.Option(help="pn or dq.")] = "pn",
+    z0: Annotated[float | None, typer.Option(metavar="OHM", help="Touchstone's reference; by default U^2/S.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a table for other tools: CSV, MATLAB (frd-ready) or Touchstone."""
+    from .exchange import export_table, format_of
+
+    if frame not in ("pn", "dq"):
+        raise _WrongInput(f"--frame {frame!r}: known are pn and dq")
+    if z0 is not None and not z0 > 0.0:
+        raise _WrongInput(f"--z0 {z0:g}: needed: a number above 0, in ohm")
+    found = format_of(output, kind)
+    _check_new(output, force)
+    typer.echo(export_table(table, output, found, op, frame, z0))  # type: ignore[arg-type]
+
+
+@app.command("import")
+def import_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or other text, .mat or Touchstone.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    frame: Annotated[str | None, typer.Option(help="pn or dq.")] = None,
+    direction: Annotated[str | None, typer.Option(help="load: current into the device; or generator.")] = None,
+    f1: Annotated[float | None, typer.Option(metavar="HZ", help="Fundamental frequency.")] = None,
+    quantity: Annotated[str | None, typer.Option(help="admittance or impedance.")] = None,
+    unit: Annotated[str | None, typer.Option(help="S, mS, ohm, pu, ...")] = None,
+    phase_unit: Annotated[str | None, typer.Option(help="deg or rad.")] = None,
+    frequency_unit: Annotated[str | None, typer.Option(help="Hz, kHz or rad/s.")] = None,
+    q_axis: Annotated[str | None, typer.Option(help="leading (default) or lagging the d axis.")] = None,
+    rated_voltage_v: Annotated[float | None, typer.Option(metavar="V", help="Rated line-to-line RMS.")] = None,
+    rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Rated apparent power.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
+    active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
+    terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
+    variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix in a .mat file.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+) -> None:
+    """Make a table of another tool's file. What the file does not say, an option must; nothing is assumed."""
+    from .exchange import format_of, import_file
+
+    given = {
+        "frame": frame,
+        "direction": direction,
+        "f1_hz": f1,
+        "quantity": quantity,
+        "unit": unit,
+        "phase_unit": phase_unit,
+        "frequency_unit": frequency_unit,
+        "q_axis": q_axis,
+        "rated_voltage_v": rated_voltage_v,
+        "rated_power_va": rated_power_va,
+        "op_id": op,
+        "active_power_mw": active_power_mw,
+        "terminal_voltage_pu": terminal_voltage_pu,
+        "variable": variable,
+    }
+    found = format_of(file, kind)
+    _check_new(output, force)
+    typer.echo(import_file(file, output, found, given))
+
+
+@app.command("inject")
+def inject_command(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="A folder, made if it is not there.")],
+    kind: Annotated[str, typer.Option("--format", help="csv, comtrade, pscad or mat.")],
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Sample rate of the files.")] = 10_000.0,
+    quiet: Annotated[float, typer.Option(metavar="S", help="Silence at the start of a file.")] = 1.0,
+    settle: Annotated[float, typer.Option(metavar="S", help="Tones play so long before they are evaluated.")] = 1.0,
+    windows: Annotated[int, typer.Option(metavar="N", help="Coherent windows of an experiment.")] = 2,
+    longest: Annotated[float, typer.Option(metavar="S", help="Longest file; 0: one pair per file.")] = 60.0,
+    encoding: Annotated[str, typer.Option(help="Of COMTRADE: ASCII, BINARY, BINARY32 or FLOAT32.")] = "BINARY",
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point, where there are several.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over an earlier manifest and its files.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Write the perturbations as files, for PSCAD, RTDS, Simulink or a laboratory."""
+    from .config import load_config
+    from .inject import Timing, chosen, inject, planned
+    from .manifest_file import FILE_NAME
+    from .playback import SUFFIXES
+
+    if kind not in SUFFIXES:
+        raise _WrongInput(f"--format {kind!r}: known are {', '.join(SUFFIXES)}")
+    if encoding not in ("ASCII", "BINARY", "BINARY32", "FLOAT32"):
+        raise _WrongInput(f"--encoding {encoding!r}: known are ASCII, BINARY, BINARY32 and FLOAT32")
+    timing = Timing(rate, quiet, settle, windows, longest)
+    plan, plant = planned(load_config(campaign, settings or ()), timing)
+    condition = chosen(plan, op)
+    if output.exists() and not output.is_dir():
+        raise _WrongInput(f"{output} is a file; name a folder")
+    if (output / FILE_NAME).exists() and not force:
+        raise _WrongInput(f"{output / FILE_NAME} exists; --force writes over it")
+    _check_folder(output)
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    output.mkdir(exist_ok=True)
+    written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
+    ends = {experiment.file: experiment.end_s for experiment in written.experiments}
+    typer.echo(
+        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {len(ends)} files, "
+        f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
+    )
+
+
 class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 
@@ -270,6 +381,8 @@ def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant]:
     from .plan import make_plan
 
     config = load_config(campaign, settings or ())
+    if config.plant.id == "external":
+        raise _WrongInput(f"{campaign}: an external device cannot be driven from here; seqsweep inject writes files")
     plant = make_plant(config.plant.id, config.plant.parameters)
     planned = make_plan(config, plant)
     for warning in planned.warnings:
@@ -284,6 +397,15 @@ def _check_outputs(output: Path | None, plot: Path | None) -> None:
     for path in (output, plot):
         if path is not None:
             _check_folder(path)
+
+
+def _check_new(output: Path, force: bool) -> None:
+    """Refuse an output that is in the way of nothing, or of something that may stay."""
+    if output.is_dir():
+        raise _WrongInput(f"{output} is a folder; name a file")
+    if output.exists() and not force:
+        raise _WrongInput(f"{output} exists; --force replaces it")
+    _check_folder(output)
 
 
 def _check_folder(output: Path) -> None:

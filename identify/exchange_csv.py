@@ -1,0 +1,269 @@
+"""Comma-separated text: our own, that of spreadsheets and scripts, and tab-separated complex numbers.
+
+What we write begins with ``# key: value`` lines, the facts, the value as JSON; then one header line of
+names with their units in brackets; then one line per operating point and frequency, numbers with as
+many digits as tell them apart. A spreadsheet opens it; ``pandas.read_csv(path, comment="#")`` reads it.
+
+What others write is recognised by its header: see `column_of`. A header of ``f, NAME_d, NAME_q`` over
+lines of ``(a+bj)`` names the two variables of a matrix that follows row after row.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .exchange import (
+    ExchangeError,
+    Facts,
+    Found,
+    Sheet,
+    agreed,
+    check_file,
+    facts_of,
+    frequency_factor,
+    need,
+    points_of,
+    texts,
+    unit_factor,
+)
+from .exchange_headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_columns, variables_header
+from .exchange_table import Outgoing
+from .response import FrequencyResponse
+from .table import ELEMENTS, QUALITY, atomic_file, canonical_json, std_of
+
+# Writing
+
+
+def write_csv(path: str | Path, out: Outgoing) -> None:
+    """Write all responses of ``out``; replaces ``path`` as a whole."""
+    points = [out.point(str(response.meta["op_id"])) for response in out.responses]
+    comments = {"written_by": "seqsweep", **out.facts, "operating_points": points, "table_sha256": out.meta["sha256"]}
+    text = io.StringIO()
+    for key, value in comments.items():
+        text.write(f"# {key}: {canonical_json(value)}\n")
+    writer = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_NONNUMERIC)
+    for number, response in enumerate(out.responses):
+        columns = _columns(response)
+        if number == 0:
+            writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+    with atomic_file(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def _columns(response: FrequencyResponse) -> dict[str, list[Any]]:
+    """Columns under their headers; floats as Python prints them, the shortest text that reads back the same."""
+    names = ELEMENTS if response.frame == "pn" else DQ_ELEMENTS
+    elements = response.y.reshape(-1, 4)
+    columns: dict[str, Any] = {"op_id": [response.meta["op_id"]] * len(response), "f [Hz]": response.f_hz}
+    if response.frame == "pn":
+        columns["f_mirror [Hz]"] = response.f_mirror_hz
+    for k, name in enumerate(names):
+        columns[f"y_{name}_re [S]"] = elements[:, k].real
+        columns[f"y_{name}_im [S]"] = elements[:, k].imag
+    if response.frame == "pn":
+        std = std_of(np.asarray(response.covariance))
+        columns.update({f"y_{name}_std [S]": std[:, k] for k, name in enumerate(names)})
+    reasons = [" ".join(str(reason).split()) for reason in np.asarray(response.reason)]  # one row, one line
+    columns |= {"status": response.status, "reason": reasons, **response.quality}
+    return {name: np.asarray(values).tolist() for name, values in columns.items()}
+
+
+# Reading
+
+
+def read_csv(path: str | Path, given: Facts) -> Found:
+    """Read text of ours or of others.
+
+    Parameters
+    ----------
+    path : path
+        Separated by commas, semicolons, tabs or blanks; the first line that is no comment is the header.
+    given : mapping
+        Facts that the user knows.
+
+    Raises
+    ------
+    ExchangeError
+        If it is no such text, a column is missing, a cell is no number, or a fact is.
+    """
+    comments, header, rows = _opened(check_file(path))
+    columns = [column_of(name) for name in header]
+    said = agreed(said_by_columns(path, columns), facts_of(comments), path)
+    facts = agreed(said, given, path)
+    cells = _cells(path, header, columns, rows)
+    frequency = _frequency(path, columns, cells, facts)
+    matrix = _matrix(path, header, columns, cells, frequency, facts)
+    return Found(_sheets(columns, cells, frequency, matrix, said), facts)
+
+
+def _opened(path: Path) -> tuple[list[str], list[str], Iterator[list[str]]]:
+    """Comments above the header, the header, and the rows below, which are read when they are asked for."""
+    lines = _lines(path)
+    comments: list[str] = []
+    for first in lines:
+        if not first.startswith("#"):
+            break
+        comments.append(first[1:].strip())
+    else:
+        raise ExchangeError(f"{path}: no header and no rows")
+    delimiter = next((mark for mark in "\t;," if mark in first), None)
+    rows = _split(path, chain([first], (line for line in lines if not line.startswith("#"))), delimiter)
+    header, row = next(rows), next(rows, None)
+    if row is None:
+        raise ExchangeError(f"{path}: a header, and no rows")
+    if len(header) == 3 and len(row) == 5:
+        header = variables_header(path, header)
+    return comments, header, chain([row], rows)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Lines that are not blank; what is not UTF-8 is taken for Latin-1."""
+    with open(path, "rb") as file:
+        if b"\0" in file.read(4096):
+            raise ExchangeError(f"{path}: not text: it holds zero bytes; --format says what it is")
+        file.seek(0)
+        for number, line in enumerate(file):
+            try:
+                text = line.decode("utf-8-sig" if number == 0 else "utf-8")
+            except UnicodeDecodeError:
+                text = line.decode("latin-1")
+            if text.strip():
+                yield text
+
+
+def _split(path: Path, lines: Iterable[str], delimiter: str | None) -> Iterator[list[str]]:
+    if delimiter is None:
+        yield from (line.split() for line in lines)
+        return
+    try:
+        yield from csv.reader(lines, delimiter=delimiter, strict=True)
+    except csv.Error as error:
+        name = {"\t": "tab", ";": "semicolon", ",": "comma"}[delimiter]
+        raise ExchangeError(f"{path}: not {name}-separated: {error}") from None
+
+
+def _cells(
+    path: str | Path, header: Sequence[str], columns: Sequence[Column], rows: Iterable[Sequence[str]]
+) -> list[np.ndarray]:
+    """One array per column, of the kind it holds; empty for columns that say nothing of ours."""
+    kinds = [_kind(column) for column in columns]
+    cells: list[list[Any]] = [[] for _ in columns]
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(header):
+            raise ExchangeError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}")
+        for kind, values, cell, name in zip(kinds, cells, row, header, strict=True):
+            if kind is not None:
+                values.append(cell if kind is str else _number(path, number, name, cell, kind))
+    return [
+        texts(values, path) if kind is str else np.array(values, dtype=kind)
+        for kind, values in zip(kinds, cells, strict=True)
+    ]
+
+
+def _kind(column: Column) -> type | None:
+    if column.what in ("op_id", "status", "reason"):
+        return str
+    if column.what == "f" or column.part == "complex":
+        return complex
+    return None if column.what == "other" else float
+
+
+def _number(path: str | Path, number: int, name: str, cell: str, kind: type) -> Any:
+    try:
+        return kind(cell.strip().replace("+-", "-").replace("i", "j") if kind is complex else cell)
+    except ValueError:
+        raise ExchangeError(f"{path}: row {number}, column {name!r}: {cell[:40]!r} is not a number") from None
+
+
+def _frequency(path: str | Path, columns: Sequence[Column], cells: Sequence[np.ndarray], facts: Facts) -> np.ndarray:
+    found = [k for k, column in enumerate(columns) if column.what == "f"]
+    if len(found) != 1:
+        what = "no column" if not found else f"{len(found)} columns"
+        raise ExchangeError(f"{path}: {what} of frequencies; needed: one, named f or frequency, its unit in brackets")
+    unit = columns[found[0]].unit or need(facts, "frequency_unit", path)
+    if np.any(cells[found[0]].imag != 0.0):
+        raise ExchangeError(f"{path}: a frequency has an imaginary part")
+    return np.asarray(cells[found[0]].real * frequency_factor(unit, path))
+
+
+def _matrix(
+    path: str | Path,
+    header: Sequence[str],
+    columns: Sequence[Column],
+    cells: Sequence[np.ndarray],
+    f_hz: np.ndarray,
+    facts: Facts,
+) -> np.ndarray:
+    parts: dict[tuple[int, int], dict[str, np.ndarray]] = {}
+    for name, column, values in zip(header, columns, cells, strict=True):
+        if column.what == "value":
+            place = parts.setdefault(POSITION[column.element], {})
+            if column.part in place:
+                raise ExchangeError(f"{path}: column {name!r} is there twice")
+            place[column.part] = _in_si(path, column, values, facts)
+    matrix = np.empty((len(f_hz), 2, 2), dtype=complex)
+    for row, column_number in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        matrix[:, row, column_number] = _joined(path, header, (row, column_number), parts.get((row, column_number), {}))
+    return matrix
+
+
+def _in_si(path: str | Path, column: Column, values: np.ndarray, facts: Facts) -> np.ndarray:
+    """S, ohm or rad; decibels are those of a magnitude in S or ohm."""
+    if column.part == "phase":
+        unit = column.unit or need(facts, "phase_unit", path)
+        if unit not in ("deg", "rad"):
+            raise ExchangeError(f"{path}: a phase in {unit!r}; known are deg and rad")
+        return np.deg2rad(values) if unit == "deg" else values
+    if column.unit == "dB":
+        return np.asarray(10.0 ** (values / 20.0))
+    return np.asarray(values * unit_factor(column.unit or need(facts, "unit", path), facts, path))
+
+
+def _joined(path: str | Path, header: Sequence[str], at: tuple[int, int], parts: Mapping[str, np.ndarray]) -> Any:
+    """One element from re and im, magnitude and phase, or as it is."""
+    if set(parts) == {"complex"}:
+        return parts["complex"]
+    if set(parts) == {"re", "im"}:
+        value = np.empty(len(parts["re"]), dtype=complex)  # not re + 1j im: NaN and signed zeros stay where they are
+        value.real, value.imag = parts["re"], parts["im"]
+        return value
+    if set(parts) == {"mag", "phase"}:
+        return parts["mag"] * np.exp(1j * parts["phase"])
+    names = " or ".join(name for name, place in POSITION.items() if place == at)
+    given = ", ".join(sorted(parts)) or "nothing"
+    raise ExchangeError(
+        f"{path}: element {names}: {given} found; needed: re and im, magnitude and phase, or one complex column. "
+        f"The header is: {', '.join(header)[:200]}"
+    )
+
+
+def _sheets(
+    columns: Sequence[Column], cells: Sequence[np.ndarray], f_hz: np.ndarray, matrix: np.ndarray, said: Facts
+) -> tuple[Sheet, ...]:
+    """One sheet per operating point, in the order of the file."""
+    named = {column.what: values for column, values in zip(columns, cells, strict=True)}
+    op_id = named.get("op_id", np.full(len(f_hz), ""))
+    quality = {key: named[key] for key in QUALITY if key in named}
+    points = {str(point.get("op_id")): point for point in points_of(said)}
+    sheets = []
+    for name in dict.fromkeys(op_id.tolist()):
+        rows = op_id == name
+        sheets.append(
+            Sheet(
+                f_hz[rows],
+                matrix[rows],
+                {**points.get(name, {}), "op_id": name or None},
+                named["status"][rows] if "status" in named else None,
+                named["reason"][rows] if "reason" in named else None,
+                {key: values[rows] for key, values in quality.items()},
+            )
+        )
+    return tuple(sheets)

@@ -1,0 +1,181 @@
+"""From what a reader found to a table, and from a table to what a writer takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .exchange import OPTIONS, ExchangeError, Facts, Found, Sheet, file_digest, need
+from .frames import to_frame
+from .response import Frame, FrequencyResponse
+from .table import TableError, complete_metadata, rows_of
+from .table_rules import metadata_violations, row_violations
+
+# In
+
+
+def to_table(found: Found, path: str | Path) -> tuple[list[FrequencyResponse], dict[str, Any]]:
+    """Responses in the pn frame, load direction, and the metadata that `write_table` completes.
+
+    Raises
+    ------
+    ExchangeError
+        If a fact is missing, or the frequencies or values cannot stand in a table.
+    """
+    facts = found.facts
+    f1_hz = float(need(facts, "f1_hz", path))
+    points = [_point(sheet, facts, number, len(found.sheets)) for number, sheet in enumerate(found.sheets)]
+    with np.errstate(all="ignore"):  # what overflows is found when the rows are checked
+        responses = [_response(sheet, point, facts, path) for sheet, point in zip(found.sheets, points, strict=True)]
+    bases = {key: float(need(facts, key, path)) for key in ("rated_voltage_v", "rated_power_va")}
+    digest = file_digest(path)
+    read_as = {key: facts[key] for key in OPTIONS if key in facts and key not in bases}
+    meta = {
+        "f1_hz": f1_hz,
+        "bases": bases,
+        "power_meaning": str(facts.get("power_meaning") or "not known: imported"),
+        "operating_points": points,
+        "configuration": {"imported": {"file": Path(path).name, "sha256": digest, "read_as": read_as}},
+        "plant": {"id": "imported", "sha256": digest},
+    }
+    violations = metadata_violations(complete_metadata(meta)) or row_violations(rows_of(responses), meta)
+    if violations:
+        raise ExchangeError(f"{path}: {violations[0]}")
+    return responses, meta
+
+
+def _point(sheet: Sheet, facts: Facts, number: int, n_sheets: int) -> dict[str, Any]:
+    """Metadata of an operating point; what nobody knows is null, and a single one may be named by the user."""
+    given = {key: facts.get(key) for key in ("op_id", "active_power_mw", "terminal_voltage_pu")}
+    said = {key: sheet.point.get(key) for key in given}
+    if n_sheets == 1:
+        said.update({key: value for key, value in given.items() if value is not None})
+    elif any(value is not None for value in given.values()):
+        raise ExchangeError(
+            "the file holds several operating points; their names and values are its own: leave them out"
+        )
+    return {**said, "op_id": str(said["op_id"] or f"imported{number if n_sheets > 1 else ''}")}
+
+
+def _response(sheet: Sheet, point: dict[str, Any], facts: Facts, path: str | Path) -> FrequencyResponse:
+    where = f"{path}: {point['op_id']}"
+    frame: Frame = need(facts, "frame", path)
+    f1_hz = float(facts["f1_hz"])
+    _check_values(sheet, where)
+    y = _admittance(sheet.matrix, facts, path, where)
+    if need(facts, "direction", path) == "generator":
+        y = -y
+    if frame == "dq" and facts.get("q_axis", "leading") == "lagging":
+        y = y * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    _check_frequencies(sheet.f_hz, frame, f1_hz, where)
+    try:
+        response = FrequencyResponse(
+            f_hz=sheet.f_hz,
+            y=y,
+            f1_hz=f1_hz,
+            frame=frame,
+            status=sheet.status,
+            reason=sheet.reason,
+            quality=sheet.quality,
+            meta={"op_id": point["op_id"]},
+        )
+    except ValueError as error:
+        raise ExchangeError(f"{where}: {error}") from None
+    return to_frame(response, "pn")
+
+
+def _check_values(sheet: Sheet, where: str) -> None:
+    """Refuse what is not finite where no status explains it."""
+    if not len(sheet.f_hz):
+        raise ExchangeError(f"{where}: no rows")
+    strange = ~np.isfinite(sheet.f_hz)
+    if np.any(strange):
+        raise ExchangeError(f"{where}: the frequency of row {np.argmax(strange) + 1} is not a finite number")
+    ok = np.full(len(sheet.f_hz), True) if sheet.status is None else sheet.status == "ok"
+    bad = ok & ~np.all(np.isfinite(sheet.matrix), axis=(1, 2))
+    if np.any(bad):
+        raise ExchangeError(
+            f"{where}: {np.count_nonzero(bad)} rows hold NaN or infinity, the first at "
+            f"{sheet.f_hz[np.argmax(bad)]:g} Hz: remove them, or give them a status and a reason in columns so named"
+        )
+
+
+def _admittance(matrix: np.ndarray, facts: Facts, path: str | Path, where: str) -> np.ndarray:
+    if need(facts, "quantity", path) == "admittance":
+        return matrix
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        raise ExchangeError(f"{where}: an impedance matrix is singular: it has no admittance") from None
+
+
+def _check_frequencies(f_hz: np.ndarray, frame: Frame, f1_hz: float, where: str) -> None:
+    """Refuse what the table has no row for."""
+    steps = np.diff(f_hz)
+    if np.any(steps == 0.0):
+        raise ExchangeError(f"{where}: {f_hz[1:][steps == 0.0][0]:g} Hz is there twice")
+    if np.any(steps < 0.0):
+        k = int(np.argmax(steps < 0.0))
+        raise ExchangeError(f"{where}: {f_hz[k + 1]:g} Hz follows {f_hz[k]:g} Hz; needed: ascending frequencies")
+    f_pn = f_hz + f1_hz if frame == "dq" else f_hz
+    also = f" ({frame} frame: {f_hz[0]:g} Hz)" if frame == "dq" else ""
+    if f_pn[0] <= 0.0:
+        raise ExchangeError(f"{where}: {f_pn[0]:g} Hz in the pn frame{also}; a table holds frequencies above 0")
+    at_f1 = np.abs(f_pn - f1_hz) <= 1e-9 * f1_hz
+    if np.any(at_f1):
+        row = f"0 Hz in the dq frame is f1 = {f1_hz:g} Hz itself" if frame == "dq" else f"{f1_hz:g} Hz is f1 itself"
+        raise ExchangeError(f"{where}: {row}, where there is no admittance: remove the row")
+
+
+# Out
+
+
+@dataclass(frozen=True, slots=True)
+class Outgoing:
+    """Responses on their way out, all in one frame, and the metadata of their table."""
+
+    responses: tuple[FrequencyResponse, ...]
+    meta: Mapping[str, Any]
+
+    @property
+    def frame(self) -> Frame:
+        """Frame of all of them."""
+        return self.responses[0].frame
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What a reader needs to know, under the names of `OPTIONS`."""
+        bases = self.meta["bases"]
+        facts = {
+            "frame": self.frame,
+            "direction": "load",
+            "f1_hz": self.meta["f1_hz"],
+            "quantity": "admittance",
+            "unit": "S",
+            "frequency_unit": "Hz",
+            "rated_voltage_v": bases["rated_voltage_v"],
+            "rated_power_va": bases["rated_power_va"],
+            "power_meaning": self.meta["power_meaning"],
+        }
+        return {**facts, "q_axis": "leading"} if self.frame == "dq" else facts
+
+    def point(self, op_id: str) -> dict[str, Any]:
+        """What the metadata says of an operating point."""
+        return next(dict(point) for point in self.meta["operating_points"] if point["op_id"] == op_id)
+
+
+def outgoing(responses: Sequence[FrequencyResponse], meta: Mapping[str, Any], frame: Frame) -> Outgoing:
+    """Responses of a table in ``frame``."""
+    return Outgoing(tuple(to_frame(response, frame) for response in responses), meta)
+
+
+def the_one(out: Outgoing, kind: str) -> FrequencyResponse:
+    """The response, for a format that holds a single one."""
+    if len(out.responses) > 1:
+        names = ", ".join(str(response.meta["op_id"]) for response in out.responses)
+        raise TableError(f"{kind} holds one operating point; choose with --op ID: {names}")
+    return out.responses[0]
