@@ -51,12 +51,10 @@ class Pilots(NamedTuple):
 
 def pilots(plan: Plan) -> Pilots:
     """Pilot sweeps of a plan whose ``amplitude_pu`` is the limit."""
-    if plan.signal is not None:
-        bands, points = (plan.points,), plan.points
-    else:
-        cut = np.array_split(np.arange(len(plan.points)), min(BANDS, len(plan.points)))
-        bands = tuple(tuple(plan.points[k] for k in band) for band in cut)
-        points = tuple(_handiest(band) for band in bands)
+    n_bands = 1 if plan.signal is not None else min(BANDS, len(plan.points))
+    cut = np.array_split(np.arange(len(plan.points)), n_bands)
+    bands = tuple(tuple(plan.points[k] for k in band) for band in cut)
+    points = plan.points if plan.signal is not None else tuple(_handiest(band) for band in bands)
     ladder = tuple(
         replace(plan.at(plan.amplitude_pu / RATIO**step), points=points, probes=frozenset()) for step in range(STEPS)
     )

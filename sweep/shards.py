@@ -120,5 +120,6 @@ def _plain(row: Row) -> dict[str, object]:
 
 
 def _row(values: dict[str, Any]) -> Row:
-    numbers = {name: tuple(nan if x is None else x for x in values.pop(name)) for name in ("y", "cov")}
-    return Row(**{name: nan if x is None else x for name, x in values.items()}, **numbers)
+    lists: dict[str, Any] = {name: tuple(nan if x is None else x for x in values.pop(name)) for name in ("y", "cov")}
+    plain: dict[str, Any] = {name: nan if x is None else x for name, x in values.items()}
+    return Row(**plain, **lists)
