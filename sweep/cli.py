@@ -18,6 +18,7 @@ import typer
 
 if TYPE_CHECKING:
     from ..plant.protocol import Plant
+    from ..plant.registry import PlantCard
     from .plan import Plan
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
@@ -152,10 +153,9 @@ def validate(table: TableFile) -> None:
 @app.command()
 def check(plant: Annotated[str, typer.Argument(metavar="PLANT", help="The id of a plant.")]) -> None:
     """Hold a plant against its promise."""
-    from ..plant.check import check_plant
-    from ..plant.registry import make_plant
+    from .inspection import findings_of
 
-    findings = check_plant(make_plant(plant))
+    findings = findings_of(plant)
     width = max(len(finding.name) for finding in findings)
     for finding in findings:
         typer.echo(f"{'pass' if finding.passed else 'FAIL'}  {finding.name:<{width}}  {finding.detail}".rstrip())
@@ -235,13 +235,13 @@ class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 
 
-def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant]:
-    from ..plant.registry import make_plant
+def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant | PlantCard]:
     from .config import load_config
+    from .isolate import plant_or_card
     from .plan import make_plan
 
     config = load_config(campaign, settings or ())
-    plant = make_plant(config.plant.id, config.plant.parameters)
+    plant = plant_or_card(config)
     planned = make_plan(config, plant)
     for warning in planned.warnings:
         typer.echo(f"warning: {warning}", err=True)

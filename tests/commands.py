@@ -90,14 +90,14 @@ def wait_for(condition, timeout_s=30.0):
 
 
 def group_members(group):
-    """Processes alive in a process group (Linux)."""
+    """Processes alive in the session that a process of `start` leads, whatever their process group (Linux)."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = stat.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        if int(fields[2]) == group and fields[0] != "Z":
+        if int(fields[3]) == group and fields[0] != "Z":
             found.append(int(stat.parent.name))
     return found
 

@@ -44,12 +44,6 @@ def test_an_unknown_id_is_refused_with_the_nearest_known_one():
         make_plant("turbogenerator", {})
 
 
-@pytest.mark.parametrize("plant_id", ["fmu:a.fmu", "cigre:a.dll", "process:./a.out"])
-def test_kinds_that_are_not_built_yet_say_so(plant_id):
-    with pytest.raises(PlantError, match="not supported by this version"):
-        make_plant(plant_id, {})
-
-
 def test_an_unknown_kind_is_refused():
     with pytest.raises(PlantError, match=r"unknown kind of plant 'pyton' \(did you mean 'python'\?\)"):
         make_plant("pyton:a:b", {})
