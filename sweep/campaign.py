@@ -19,11 +19,11 @@ import numpy as np
 from ..identify.adaptive import Decision, decide
 from ..identify.response import FrequencyResponse
 from ..identify.table import QUALITY, unpack_covariance, write_table
+from ..plant.endings import die_with_parent
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard, releases_gil
 from . import shards
 from .amplitude import chosen, parts, pilots
-from .child import die_with_parent
 from .grid import Frequency
 from .isolate import children
 from .linearity import judged

@@ -20,6 +20,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+from ..plant.endings import die_with_parent, how_it_ended
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard, PlantError, PlantSpec, card_of
 
@@ -129,9 +130,7 @@ class Child:
             code = self._process.wait(1.0)
         except subprocess.TimeoutExpired:
             return "it closed its pipe"
-        how = signal.Signals(-code).name if code < 0 else f"exit status {code}"
-        said = last_words(self._said)
-        return f"{how}, last words {said!r}" if said else how
+        return how_it_ended(code, self._said)
 
 
 @contextmanager
@@ -155,15 +154,6 @@ def scratch() -> Iterator[Path]:
     ):
         _locked(lock.fileno())
         yield Path(name)
-
-
-def last_words(path: Path) -> str:
-    """The last line that a process left in a file, shortened."""
-    with suppress(OSError), path.open("rb") as said:
-        said.seek(max(0, said.seek(0, os.SEEK_END) - 4096))
-        words = said.read().decode(errors="replace").strip().splitlines()
-        return words[-1][:200] if words else ""
-    return ""
 
 
 def _sweep_up() -> None:
@@ -227,17 +217,6 @@ def _in_words(error: Exception) -> str:
 def _forget_what_was_said() -> None:
     if os.fstat(1).st_size > SAID_BYTES:
         os.ftruncate(1, 0)
-
-
-def die_with_parent(parent: int) -> None:
-    """Ask Linux to end this process with process ``parent``, even while it is deep in a plant."""
-    if sys.platform == "linux":
-        import ctypes
-
-        pr_set_pdeathsig = 1
-        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
-        if os.getppid() != parent:  # it was gone before it was asked
-            os._exit(1)
 
 
 def _offer_to_the_memory_killer() -> None:
