@@ -104,10 +104,7 @@ def voltage_asked(point: OperatingPoint, source: Source, limits: OperatingRange,
         ("voltage", voltage_v, limits.terminal_voltage_v, rating.voltage_v, "pu"),
     ]
     for what, value, (low, high), unit, word in given:
-        room = (
-            1e-9 * max(abs(end) for end in (low, high) if end not in (inf, -inf)) if (low, high) != (-inf, inf) else 0
-        )
-        if not low - room <= value <= high + room:
+        if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
             raise ValueError(
                 f"{what} of {value / unit:g} {word} is outside the range of {name}: "
                 f"{low / unit:g} to {high / unit:g} {word}"

@@ -245,13 +245,17 @@ class StepPlant:
         source = state.source
         if source.kind == "ideal":
             v[:] = e[:-1]
-            loop = _compiled(_on_ideal_source) if self.releases_gil else _on_ideal_source
-            device, i_end = loop(self._step, state.device, state.i, self._given(v), self.dt_s, i)
+            device, i_end = self._loop(_on_ideal_source)(
+                self._step, state.device, state.i, self._given(v), self.dt_s, i
+            )
             return device, i_end, e[-1], len(v)
-        loop = _compiled(_behind_grid) if self.releases_gil else _behind_grid
         e_mean = self._given((e[:-1] + e[1:]) / 2.0)
         grid = (source.r_ohm, source.l_h)
+        loop = self._loop(_behind_grid)
         return loop(self._step, state.device, state.i, state.v, e_mean, *grid, self.dt_s, AGREEMENT, v, i)
+
+    def _loop(self, loop: Callable[..., Any]) -> Callable[..., Any]:
+        return _compiled(loop) if self.releases_gil else loop
 
     def _given(self, x: np.ndarray) -> Any:
         """An array for a compiled loop; a list, whose numbers are quicker in Python, for a plain one."""
