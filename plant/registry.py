@@ -28,7 +28,9 @@ from .protocol import OperatingRange, PhasorPlant, Plant, Rating
 
 ENTRY_POINT_GROUP = "seqsweep.plants"
 
-_KINDS: dict[str, str] = {}
+_KINDS = {
+    "process": "seqsweep.plant.process:process_plant",
+}
 """Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""
 
 _BLACK_BOXES: set[str] = set()
