@@ -29,6 +29,7 @@ from .protocol import OperatingRange, PhasorPlant, Plant, Rating
 ENTRY_POINT_GROUP = "seqsweep.plants"
 
 _KINDS = {
+    "fmu": "seqsweep.plant.fmu:fmu_plant",
     "process": "seqsweep.plant.process:process_plant",
 }
 """Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""

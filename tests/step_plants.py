@@ -97,3 +97,24 @@ def mistyped_step(state, v, dt):
 
 def mistyped():
     return plant_from_step(mistyped_step, 0j, **KEEP)
+
+
+@njit
+def converter_step(state, v, dt):
+    """The converter of ``boxes/box_fmu.c``, in space vectors: another text, the same device."""
+    power_w, i, theta, x_pll, x = state
+    r_ohm, l_h, w1 = 3e-3, 0.2e-3, 100.0 * np.pi
+    turn = np.exp(1j * theta)
+    v_dq, i_dq = v / turn, -i / turn
+    e = power_w / (1.5 * max(abs(v_dq.real), 100.0)) - i_dq
+    x_pll += dt * 10.0 * v_dq.imag
+    theta = (theta + dt * (w1 + 0.5 * v_dq.imag + x_pll)) % (2.0 * np.pi)
+    x += dt * 40.0 * e
+    u = (0.9 * v_dq.real + 0.3 * e + x + 1j * w1 * l_h * i_dq) * turn
+    i += dt / l_h * (v - u - r_ohm * i)
+    return (power_w, i, theta, x_pll, x), i
+
+
+def converter():
+    limits = {"active_power_w": (-1e9, 1e9)}
+    return plant_from_step(converter_step, lambda p: (p.active_power_w, 0j, 0.0, 0.0, 0j), **KEEP, **limits)

@@ -9,11 +9,9 @@ from scipy.integrate import solve_ivp
 from seqsweep.plant.check import check_plant
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone
 from seqsweep.plant.step import StepError, plant_from_step
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.measure import measure
-from seqsweep.sweep.plan import make_plan
 
 from . import step_plants
+from .at_hand import swept
 from .commands import call, campaign
 from .step_plants import DT_S, KEEP, admittance
 
@@ -24,23 +22,6 @@ WEAK = Source("thevenin", r_ohm=0.05, l_h=10e-3)  # ten times the device's own i
 
 def failed(plant, source=None):
     return [finding for finding in check_plant(plant, source=source) if not finding.passed]
-
-
-def swept(plant, f_hz, **sections):
-    config = {
-        "campaign": {"name": "step"},
-        "plant": {"id": "branch-v1"},
-        "operating_point": [{"id": "a", "active_power_mw": 0.2, "terminal_voltage_pu": 1.0}],
-        "sweep": {"f_hz": f_hz},
-        **sections,
-    }
-    plan = make_plan(Config.from_dict(config), plant)
-    rows = sorted(
-        (row for batch in plan.batches() for row in measure(plant, plan, batch).rows), key=lambda row: row.f_hz
-    )
-    assert [row.status for row in rows] == ["ok"] * len(f_hz), rows
-    parts = np.array([row.y for row in rows])
-    return (parts[:, 0::2] + 1j * parts[:, 1::2]).reshape(-1, 2, 2)
 
 
 @pytest.mark.parametrize("source", [None, GRID, WEAK], ids=["ideal", "grid", "weak"])
