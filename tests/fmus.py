@@ -47,7 +47,8 @@ def compiler():
 
 
 @functools.cache
-def _library(folder, defines):
+def library(folder, defines):
+    """The shared library of the box, compiled with ``defines``."""
     cc, headers = compiler()
     library = Path(folder) / f"box-{'-'.join(defines) or 'plain'}.so"
     flags = [
@@ -91,5 +92,5 @@ def fmu(folder, *defines, name="box.fmu", platform="linux64"):
     path = Path(folder) / name
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", description(state="STATE" in defines))
-        archive.write(_library(str(folder), defines), f"binaries/{platform}/box.so")
+        archive.write(library(str(folder), defines), f"binaries/{platform}/box.so")
     return path

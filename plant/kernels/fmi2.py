@@ -5,9 +5,12 @@ The addresses are numbers, so that one compiled kernel serves every FMU. A statu
 
 from __future__ import annotations
 
+from typing import Any
+
 from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import extending, njit, types
+
+_intrinsic: Any = extending.intrinsic  # its annotations have the typing context among the arguments
 
 WARNING = 1
 
@@ -27,7 +30,7 @@ def _call(builder, address, kinds, arguments):
     return builder.call(function, given)
 
 
-@intrinsic
+@_intrinsic
 def _values(typingctx, function, component, references, n, values):
     """``function(component, references, n, values)``: fmi2SetReal or fmi2GetReal; all but n are addresses."""
 
@@ -37,7 +40,7 @@ def _values(typingctx, function, component, references, n, values):
     return types.int32(*[types.int64] * 5), codegen
 
 
-@intrinsic
+@_intrinsic
 def _do_step(typingctx, function, component, time_s, step_s, no_way_back):
     """``fmi2DoStep(component, time, step, noSetFMUStatePriorToCurrentPoint)``."""
 
