@@ -151,11 +151,16 @@ def validate(table: TableFile) -> None:
 
 
 @app.command()
-def check(plant: Annotated[str, typer.Argument(metavar="PLANT", help="The id of a plant.")]) -> None:
-    """Hold a plant against its promise."""
-    from .inspection import findings_of
+def check(
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="A plant's id, a CAMPAIGN.toml, or a file to read.")],
+) -> None:
+    """Hold a plant against its promise; of a file (.fmu, .so, .dll, .py) say what it is, executing nothing."""
+    from .inspection import findings_of, findings_of_campaign, inspect, is_inspected
 
-    findings = findings_of(plant)
+    if is_inspected(plant):
+        typer.echo(inspect(Path(plant)))
+        return
+    findings = findings_of_campaign(Path(plant)) if plant.endswith(".toml") else findings_of(plant)
     width = max(len(finding.name) for finding in findings)
     for finding in findings:
         typer.echo(f"{'pass' if finding.passed else 'FAIL'}  {finding.name:<{width}}  {finding.detail}".rstrip())
