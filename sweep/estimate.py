@@ -12,7 +12,7 @@ from ..plant.registry import PlantCard
 from .child import child
 from .isolate import DEFAULT_TIMEOUT_S
 from .loadflow import reached
-from .plan import EXPECTED_WINDOWS, Batch, Plan
+from .plan import EXPECTED_WINDOWS, Plan
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
@@ -43,13 +43,9 @@ def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
         runs = [1] * len(batches)
     else:
         blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
-        runs = [ceil(_n_shots(plan, batch) / together) for batch in batches]
+        runs = [ceil(len(plan.shots_in(batch)) / together) for batch in batches]
     work_s = [per_block_s * b * n + BATCH_OVERHEAD_S for b, n in zip(blocks, runs, strict=True)]
     return START_S + max(max(work_s), sum(work_s) / jobs)
-
-
-def _n_shots(plan: Plan, batch: Batch) -> int:
-    return sum(len(plan.shots_of(batch.condition, point)) for point in batch.points)
 
 
 def _cost_in_a_child(plan: Plan) -> tuple[float, int]:

@@ -69,7 +69,7 @@ class Children:
         try:
             return self._ask(batch)
         except (ChildFailed, PlantError) as failure:
-            if len(batch.points) == 1:
+            if len(batch.points) == 1 or self._plan.signal is not None:  # one signal serves all points
                 return failed_batch(self._plan.at(batch.amplitude_pu), batch, "failed", str(failure))
         parts = [self.measure(replace(batch, points=(point,))) for point in batch.points]
         condition = next((part.condition for part in parts if part.condition), {})
@@ -87,8 +87,9 @@ class Children:
 
     def _ask(self, batch: Batch) -> BatchResult:
         lent = self._idle.get()
-        timeout_s = self._timeout_s * 2 * len(batch.points)
-        late = f"the shot took longer than {timeout_s:g} s of wall time (plant.timeout_s a shot)"
+        n_shots = len(self._plan.shots_in(batch))
+        timeout_s = self._timeout_s * n_shots
+        late = f"{n_shots} shots took longer than {timeout_s:g} s of wall time, plant.timeout_s for each"
         try:
             lent = lent or Child(self._plan.spec, self._folder)
             return lent.ask(partial(_measured, self._plan, batch), timeout_s, late)

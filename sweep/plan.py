@@ -300,6 +300,10 @@ class Plan:
             }
         )
 
+    def shots_in(self, batch: Batch) -> tuple[Shot | Play, ...]:
+        """The experiments of a batch."""
+        return tuple(self._shots_of_all(batch.condition, batch.points))
+
     def _shots_of_all(self, condition: Condition, points: tuple[Frequency, ...]) -> Iterator[Shot | Play]:
         if self.signal is not None:
             return iter(self.plays_of(condition))

@@ -84,7 +84,7 @@ def test_a_bad_program_costs_the_points_that_suffer_from_it_with_the_reason(tmp_
         end_group(process)
     assert "Traceback" not in said
     well, *ill = read_table(tmp_path / "y.parquet").responses
-    assert well.status.tolist() == ["ok", "ok"]
+    assert well.status.tolist() == ["ok", "ok"], well.reason
     for (fault, words), response in zip(FAULTS.items(), ill, strict=True):
         assert response.status.tolist() == ["diverged" if fault == "nan" else "failed", "ok"], fault
         assert words in response.reason[0]

@@ -11,9 +11,9 @@ from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, 
 from seqsweep.plant.step import StepError, plant_from_step
 
 from . import step_plants
-from .at_hand import swept
 from .commands import call, campaign
 from .step_plants import DT_S, KEEP, admittance
+from .sweeps import swept
 
 RATED = OperatingPoint(0.0, 690.0)
 GRID = Source("thevenin", r_ohm=0.012, l_h=0.8e-3, angle_rad=0.3)
