@@ -17,6 +17,10 @@ BOXES_KEPT = 4
 """Boxes that stand at different places; a shot and its reference go on without being replayed."""
 
 
+class BoxLost(RuntimeError):
+    """A box that is of no further use: another one must be built."""
+
+
 class SnapshotBox(Protocol):
     """A box that can be put back to where it was."""
 
@@ -39,7 +43,7 @@ class Snapshots:
     Parameters
     ----------
     build : callable
-        Makes the box, when it is first needed.
+        Makes the box, when it is first needed and whenever it is lost.
     """
 
     def __init__(self, build: Callable[[], SnapshotBox]):
@@ -49,6 +53,14 @@ class Snapshots:
 
     def act(self, way: Way, action: Action) -> Any:
         """The answer of ``action`` at the end of ``way``; the position behind it is kept."""
+        try:
+            return self._act(way, action)
+        except BoxLost:
+            self._box = None
+            self._kept.clear()
+            raise
+
+    def _act(self, way: Way, action: Action) -> Any:
         self._box = box = self._box or self._build()
         nearest = next(n for n in range(len(way), -1, -1) if n == 0 or way[:n] in self._kept)
         if nearest:

@@ -129,10 +129,7 @@ class DrivenPlant:
     def __init__(
         self, identity: Identity, branches: Branches, patience: Patience, contents: Mapping[str, Any] | None = None
     ):
-        self.id = identity.id
-        self.f1_hz, self.dt_s = identity.clock
-        self.rating, self.operating_range = identity.rating, identity.operating_range
-        self.power_meaning = identity.power_meaning
+        self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
         self.contents = dict(contents or {})
         self._clock, self._branches, self._patience = identity.clock, branches, patience
         self._settled: dict[Settle, Settled] = {}

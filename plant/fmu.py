@@ -33,7 +33,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from .branches import Replays, Snapshots
+from .branches import BoxLost, Replays, Snapshots
 from .driven import Branches, DrivenPlant, Identity
 from .fmu_archive import description_of, sha256_of, unpack
 from .forked import Forks
@@ -42,6 +42,7 @@ from .protocol import OperatingPoint, OperatingRange, Rating, SourceDirection
 from .threephase import abc_of, vector_of
 
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
+_FATAL = 4
 _CALLS = ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
 
 
@@ -51,6 +52,10 @@ class FmuError(ValueError):
 
 class FmuFault(RuntimeError):
     """An FMU that gave up on the way; the message says in which call, and its own last message."""
+
+
+class FmuLost(FmuFault, BoxLost):
+    """A fatal answer: the standard allows no further call."""
 
 
 class Ports(NamedTuple):
@@ -154,7 +159,7 @@ class Instance:
         )
         self.step += int(done)
         if done < len(u):
-            raise FmuFault(
+            raise (FmuLost if status == _FATAL else FmuFault)(
                 f"{_CALLS[call]} answered {_STATUS[status] if status < len(_STATUS) else status} at "
                 f"{self.step * self._model.dt_s:.6g} s{self._last_message()}"
             )

@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from .branches import BoxLost
 from .endings import die_with_parent, how_it_ended, last_words
 from .protocol import OperatingPoint
 
@@ -43,7 +44,7 @@ MOST_BYTES = 1 << 26
 _HEAD = struct.Struct("<4sI")
 
 
-class PeerError(RuntimeError):
+class PeerError(BoxLost):
     """The program at the other end broke the protocol, or ended; the message says how."""
 
 

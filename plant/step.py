@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 
+from .driven import Identity
 from .periodic import Clock, Patience, phase_peak, until_periodic, voltage_asked
 from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from .sources import series_tones
@@ -46,6 +47,7 @@ VOLTAGE_REACHED = 1e-6
 MOST_TRIALS = 40
 
 StepFunction = Callable[[Any, complex, float], tuple[Any, complex]]
+LaneStepFunction = Callable[[Any, np.ndarray, float], tuple[Any, np.ndarray]]
 
 
 class StepError(ValueError):
@@ -92,6 +94,45 @@ def plant_from_step(
     ValueError
         If the step leaves fewer than ten samples per period, or a rating is not above 0.
     """
+    identity = _identity(step, dt_s, f1_hz, voltage_v, power_va, active_power_w, terminal_voltage_pu, power_meaning)
+    return StepPlant(step, initial_state, identity, Patience(settle_tolerance, patience_s))
+
+
+def plant_from_lanes(
+    step: LaneStepFunction,
+    initial_state: Any,
+    *,
+    dt_s: float,
+    voltage_v: float,
+    power_va: float,
+    f1_hz: float = 50.0,
+    active_power_w: tuple[float, float] = (-inf, inf),
+    terminal_voltage_pu: tuple[float, float] = (0.5, 1.5),
+    power_meaning: str = "as the step function takes it",
+    settle_tolerance: float = 1e-8,
+    patience_s: float = 30.0,
+) -> LanePlant:
+    """A plant around a step function that takes many experiments at once, one in each lane.
+
+    ``step(state, v, dt)`` is given ``v`` (n_lanes,) and a state whose last axis are the lanes, and returns a new
+    state and ``i`` (n_lanes,); the lanes know nothing of each other. ``initial_state`` is that of one lane: a number
+    or an array. An array script pays for its calls once for all lanes. Everything else is as in `plant_from_step`,
+    but that it stands on an ideal source alone.
+    """
+    identity = _identity(step, dt_s, f1_hz, voltage_v, power_va, active_power_w, terminal_voltage_pu, power_meaning)
+    return LanePlant(step, initial_state, identity, Patience(settle_tolerance, patience_s))
+
+
+def _identity(
+    step: Callable[..., Any],
+    dt_s: float,
+    f1_hz: float,
+    voltage_v: float,
+    power_va: float,
+    active_power_w: tuple[float, float],
+    terminal_voltage_pu: tuple[float, float],
+    power_meaning: str,
+) -> Identity:
     for name, value in {"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va}.items():
         if not 0.0 < value < inf:
             raise ValueError(f"{name} is {value:g}; needed: a finite number above 0")
@@ -99,10 +140,8 @@ def plant_from_step(
         raise ValueError(f"dt_s is {dt_s:g} s; needed: at most a tenth of a period, {0.1 / f1_hz:g} s")
     low, high = terminal_voltage_pu
     limits = OperatingRange(active_power_w, (low * voltage_v, high * voltage_v))
-    patience = Patience(settle_tolerance, patience_s)
-    return StepPlant(
-        step, initial_state, Clock(f1_hz, dt_s), Rating(voltage_v, power_va), limits, power_meaning, patience
-    )
+    name = f"python:{step.__module__}:{step.__name__}"
+    return Identity(name, Clock(f1_hz, dt_s), Rating(voltage_v, power_va), limits, power_meaning)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,20 +160,10 @@ class StepState:
 class StepPlant:
     """What `plant_from_step` makes."""
 
-    def __init__(
-        self,
-        step: StepFunction,
-        initial_state: Any,
-        clock: Clock,
-        rating: Rating,
-        operating_range: OperatingRange,
-        power_meaning: str,
-        patience: Patience,
-    ):
-        self.id = f"python:{step.__module__}:{step.__name__}"
-        self.f1_hz, self.dt_s = clock
-        self.rating, self.operating_range, self.power_meaning = rating, operating_range, power_meaning
-        self._step, self._initial_state, self._clock, self._patience = step, initial_state, clock, patience
+    def __init__(self, step: Callable[..., Any], initial_state: Any, identity: Identity, patience: Patience):
+        self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
+        self._step, self._initial_state = step, initial_state
+        self._clock, self._patience = identity.clock, patience
         self._settled: dict[tuple[OperatingPoint, Source], StepState] = {}
 
     @property
@@ -235,7 +264,13 @@ class StepPlant:
                 f"device and grid find no common voltage in step {state.step + steps_done}: the step function is "
                 "not smooth enough for a grid of this impedance; an ideal source gives the same admittance"
             )
-        step = state.step + n_steps
+        return self._ended(state, device, i_end, v_end, v, i)
+
+    def _ended(
+        self, state: StepState, device: Any, i_end: complex, v_end: complex, v: np.ndarray, i: np.ndarray
+    ) -> tuple[StepState, Record]:
+        """The state behind the samples ``v`` and ``i``, and their record."""
+        step = state.step + len(v)
         end = replace(state, step=step, time_s=step * self.dt_s, device=device, i=complex(i_end), v=complex(v_end))
         return end, Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
 
@@ -260,6 +295,38 @@ class StepPlant:
     def _given(self, x: np.ndarray) -> Any:
         """An array for a compiled loop; a list, whose numbers are quicker in Python, for a plain one."""
         return x if self.releases_gil else x.tolist()
+
+
+class LanePlant(StepPlant):
+    """What `plant_from_lanes` makes."""
+
+    def settle(self, operating_point: OperatingPoint, source: Source) -> StepState:
+        """As `StepPlant.settle`; an ideal source alone."""
+        if source.kind != "ideal":
+            raise ValueError(
+                f"{self.id} takes many experiments at once: it stands on an ideal source, where its admittance is the "
+                "same; plant_from_step stands on a grid, too"
+            )
+        return super().settle(operating_point, source)
+
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[StepState, Record]]:
+        """Run every job ``n_steps`` further, each in its lane; see `Plant.run`."""
+        if not jobs:
+            return []
+        states = [job.state for job in jobs]
+        v = np.stack([self._source_voltage(job, n_steps) for job in jobs], axis=1)
+        device = np.stack([np.asarray(state.device) for state in states], axis=-1)
+        i = np.empty(v.shape, complex)
+        loop = self._loop(_on_ideal_source)
+        device, i_end = loop(self._step, device, np.array([state.i for state in states]), v, self.dt_s, i)
+        return [
+            self._ended(job.state, device[..., k].copy(), i_end[k], v[-1, k], v[:, k].copy(), i[:, k].copy())
+            for k, job in enumerate(jobs)
+        ]
+
+    def _source_voltage(self, job: Job, n_steps: int) -> np.ndarray:
+        tones = series_tones(job.injection, job.state.source, lambda f_hz: 0j)
+        return self._clock.voltage(((self.f1_hz, job.state.v_source), *tones), job.state.step, n_steps)
 
 
 # The loops: plain Python, compiled where the step function is

@@ -192,7 +192,7 @@ def _serve(pipe: Connection) -> None:
         plant = spec.make()
         pipe.send(card_of(plant, spec))
     except Exception as error:
-        pipe.send(_Trouble(str(error) if isinstance(error, PlantError) else _in_words(error)))
+        pipe.send(_Trouble(_in_words(error)))
         return
     while True:
         try:
@@ -211,7 +211,9 @@ def _answer(plant: Plant, question: Callable[[Plant], object]) -> object:
 
 
 def _in_words(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")[:300]
+    """What a wrong call raises says enough; anything else is told by its class, too."""
+    text = " ".join(str(error).split())
+    return (text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}".rstrip(": "))[:300]
 
 
 def _forget_what_was_said() -> None:

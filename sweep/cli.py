@@ -218,22 +218,11 @@ def verify(
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Power, r(t), ...: .png, .svg or .pdf.")] = None,
 ) -> None:
     """The same device in time, with and without damping control."""
-    from ..identify.table import read_table
-    from .scenario import read_story
-    from .verify import cause_gone_of, format_report, read_tuning, tuned_of, write_json
-    from .verify import verify as run_both
+    from .verify_job import VerifyJob, verified
 
     _check_outputs(output, plot)
-    tuned = tuned_of(read_tuning(tuning), op)
-    cause_gone = None if table is None else cause_gone_of(read_table(table).response(tuned.op_id))
-    result = run_both(tuned, None if scenario is None else read_story(scenario), cause_gone)
-    typer.echo(format_report(result, shutil.get_terminal_size((100, 24)).columns))
-    if output is not None:
-        write_json(result, output)
-    if plot is not None:
-        from .verify_plot import plot as draw
-
-        draw(result, plot)
+    width = shutil.get_terminal_size((100, 24)).columns
+    typer.echo(verified(VerifyJob(tuning, table, op, scenario, output, plot, width)))
 
 
 class _WrongInput(ValueError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from seqsweep.plant.step import plant_from_step
+from seqsweep.plant.step import plant_from_lanes, plant_from_step
 
 R_OHM, L_H, DT_S = 0.1, 1e-3, 50e-6
 DECAY = float(np.exp(-R_OHM * DT_S / L_H))
@@ -118,3 +118,24 @@ def converter_step(state, v, dt):
 def converter():
     limits = {"active_power_w": (-1e9, 1e9)}
     return plant_from_step(converter_step, lambda p: (p.active_power_w, 0j, 0.0, 0.0, 0j), **KEEP, **limits)
+
+
+def lane_step(x, v, dt):
+    """Two branches in parallel, one beside the other, in as many lanes as there are."""
+    r_ohm, l_h = np.array([[R_OHM], [0.5]]), np.array([[L_H], [5e-3]])
+    x = x + dt / l_h * (v - r_ohm * x)
+    return x, x[0] + x[1]
+
+
+def lanes():
+    return plant_from_lanes(lane_step, np.zeros(2, complex), **KEEP)
+
+
+@njit
+def compiled_lane_step(i, v, dt):
+    i = DECAY * i + GAIN * v
+    return i, i
+
+
+def compiled_lanes():
+    return plant_from_lanes(compiled_lane_step, 0j, **KEEP)

@@ -14,7 +14,7 @@ import pytest
 from seqsweep.identify.table import read_table
 from seqsweep.plant import fmu_archive
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.fmu import fmu_plant
+from seqsweep.plant.fmu import FmuFault, fmu_plant
 from seqsweep.plant.fmu_archive import ArchiveError, look_through, unpack
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 
@@ -112,6 +112,16 @@ def test_the_sweep_of_an_fmu_is_that_of_its_twin(built):
     for found in y[1:]:
         assert np.max(np.abs(found - y[0])) <= 1e-6 * np.max(np.abs(y[0]))  # rounding under a small tone
     assert np.max(np.abs(y[0][:, 0, 1])) > 1e-3 * np.max(np.abs(y[0]))  # and it couples
+
+
+@pytest.mark.parametrize("snapshot", ["state", "fork", "cold"])
+def test_a_fatal_answer_costs_an_instance_and_the_next_point_gets_another(built, snapshot):
+    start = {"start": {"fault": -1.0, "after_s": 0.1}, "snapshot": snapshot}
+    plant = fmu_plant(str(built("STATE")), **PARAMETERS, **start)
+    for _ in range(2):
+        with pytest.raises(FmuFault, match=r"fmi2DoStep answered fatal at 0\.1"):
+            plant.settle(OperatingPoint(9e6, 690.0), Source())
+        assert plant.settle(OperatingPoint(0.0, 690.0), Source()).step > 2000
 
 
 def test_the_table_remembers_which_file_it_was(built):

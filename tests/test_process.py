@@ -90,6 +90,15 @@ def test_a_bad_program_costs_the_points_that_suffer_from_it_with_the_reason(tmp_
         assert words in response.reason[0]
 
 
+@pytest.mark.parametrize("parameters", [{}, SNAPSHOT], ids=["from cold", "snapshots"])
+def test_a_program_that_ended_is_started_again_for_the_next_point(parameters):
+    plant = process_plant(PEER, faults=["exit"], after=1000, **parameters)
+    for _ in range(2):
+        with pytest.raises(PeerError, match="licence expired"):
+            plant.settle(OperatingPoint(1e6, 690.0), Source())
+        assert plant.settle(RATED, Source()).step > 1000
+
+
 CARDS = {
     "version": ({"version": 2}, "version is 2; this protocol is version 1"),
     "step": ({"dt_s": 0}, "dt_s: given 0; needed: a number above 0, in s"),

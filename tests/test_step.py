@@ -95,6 +95,22 @@ def test_a_compiled_and_a_plain_step_are_one_device():
         assert np.max(np.abs(records[0].i - records[1].i)) <= 1e-9 * np.max(np.abs(records[0].i))
 
 
+@pytest.mark.parametrize("make", [step_plants.lanes, step_plants.compiled_lanes])
+def test_a_step_function_may_take_many_experiments_at_once(make):
+    assert failed(make()) == []
+    with pytest.raises(ValueError, match="plant_from_step stands on a grid"):
+        make().settle(RATED, GRID)
+
+
+def test_the_lanes_find_the_closed_form():
+    f = np.array([20.0, 130.0])
+    y = swept(step_plants.compiled_lanes(), f.tolist())
+    assert np.max(np.abs(y[:, 0, 0] / admittance(f) - 1.0)) <= 1e-4
+    z = np.exp(2j * np.pi * f * DT_S) - 1.0  # Euler's step: i_k+1 = i_k + h/L (v_k - R i_k)
+    wanted = sum(DT_S / l_h / (z + DT_S * r_ohm / l_h) for r_ohm, l_h in ((0.1, 1e-3), (0.5, 5e-3)))
+    assert np.max(np.abs(swept(step_plants.lanes(), f.tolist())[:, 0, 0] / wanted - 1.0)) <= 1e-4
+
+
 def test_power_reaches_the_step_function_by_way_of_its_initial_state():
     plant = step_plants.generator()
     ((_, record),) = plant.run([Job(plant.settle(OperatingPoint(0.4e6, 690.0), Source()), None)], 400)

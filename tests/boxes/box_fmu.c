@@ -15,7 +15,7 @@
 #include "fmi2Functions.h"
 
 #define THIRD 2.0943951023931953
-enum { OK, ERRS, PRINTS, SLEEPS, LEAKS, NANS, ABORTS, SEGFAULTS, DISCARDS };
+enum { OK, ERRS, PRINTS, SLEEPS, LEAKS, NANS, ABORTS, SEGFAULTS, DISCARDS, FATAL };
 
 typedef struct {
     double r[16], i[3], theta, x_pll, x_d, x_q, t;
@@ -24,6 +24,7 @@ typedef struct {
 typedef struct {
     State s;
     const fmi2CallbackFunctions *callbacks;
+    int broken; /* for good, after a fatal answer: whoever calls it then is told so */
 } Instance;
 
 #ifdef HIDDEN
@@ -104,12 +105,16 @@ static fmi2Status misbehave(Instance *c, State *s) {
         break;
     case DISCARDS:
         return fmi2Discard;
+    case FATAL:
+        c->broken = 1;
+        return fmi2Fatal;
     }
     return fmi2OK;
 }
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean back) {
     State *s = STATE_OF(c);
+    if (((Instance *)c)->broken) return fmi2Fatal;
     (void)back;
     s->t = t;
     terminals(s);
