@@ -94,7 +94,7 @@ def plant_from_step(
     ValueError
         If the step leaves fewer than ten samples per period, or a rating is not above 0.
     """
-    identity = _identity(step, dt_s, f1_hz, voltage_v, power_va, active_power_w, terminal_voltage_pu, power_meaning)
+    identity = _identity(step, dt_s, voltage_v, power_va, f1_hz, active_power_w, terminal_voltage_pu, power_meaning)
     return StepPlant(step, initial_state, identity, Patience(settle_tolerance, patience_s))
 
 
@@ -102,6 +102,22 @@ def plant_from_lanes(
     step: LaneStepFunction,
     initial_state: Any,
     *,
+    settle_tolerance: float = 1e-8,
+    patience_s: float = 30.0,
+    **identity: Any,
+) -> LanePlant:
+    """A plant around a step function that takes many experiments at once, one in each lane.
+
+    ``step(state, v, dt)`` is given ``v`` (n_lanes,) and a state whose last axis are the lanes, and returns a new
+    state and ``i`` (n_lanes,); the lanes know nothing of each other. ``initial_state`` is that of one lane: a number
+    or an array. An array script pays for its calls once for all lanes. Everything else is as in `plant_from_step`
+    (``dt_s``, ``voltage_v``, ``power_va``, ...), but that it stands on an ideal source alone.
+    """
+    return LanePlant(step, initial_state, _identity(step, **identity), Patience(settle_tolerance, patience_s))
+
+
+def _identity(
+    step: Callable[..., Any],
     dt_s: float,
     voltage_v: float,
     power_va: float,
@@ -109,29 +125,6 @@ def plant_from_lanes(
     active_power_w: tuple[float, float] = (-inf, inf),
     terminal_voltage_pu: tuple[float, float] = (0.5, 1.5),
     power_meaning: str = "as the step function takes it",
-    settle_tolerance: float = 1e-8,
-    patience_s: float = 30.0,
-) -> LanePlant:
-    """A plant around a step function that takes many experiments at once, one in each lane.
-
-    ``step(state, v, dt)`` is given ``v`` (n_lanes,) and a state whose last axis are the lanes, and returns a new
-    state and ``i`` (n_lanes,); the lanes know nothing of each other. ``initial_state`` is that of one lane: a number
-    or an array. An array script pays for its calls once for all lanes. Everything else is as in `plant_from_step`,
-    but that it stands on an ideal source alone.
-    """
-    identity = _identity(step, dt_s, f1_hz, voltage_v, power_va, active_power_w, terminal_voltage_pu, power_meaning)
-    return LanePlant(step, initial_state, identity, Patience(settle_tolerance, patience_s))
-
-
-def _identity(
-    step: Callable[..., Any],
-    dt_s: float,
-    f1_hz: float,
-    voltage_v: float,
-    power_va: float,
-    active_power_w: tuple[float, float],
-    terminal_voltage_pu: tuple[float, float],
-    power_meaning: str,
 ) -> Identity:
     for name, value in {"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va}.items():
         if not 0.0 < value < inf:
