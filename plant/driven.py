@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from .forked import Action, Way
-from .periodic import Clock, Patience, phase_peak, until_periodic, voltage_asked
-from .protocol import Job, OperatingPoint, OperatingRange, Rating, Record, Source
+from .periodic import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
+from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from .sources import series_tones
 
 
@@ -132,7 +132,7 @@ class DrivenPlant:
         self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
         self.contents = dict(contents or {})
         self._clock, self._branches, self._patience = identity.clock, branches, patience
-        self._settled: dict[Settle, Settled] = {}
+        self._settled: dict[Settle, Settled | NotSettled] = {}
 
     def settle(self, operating_point: OperatingPoint, source: Source) -> DrivenState:
         """Run from cold until a period repeats; see `Plant.settle`.
@@ -152,9 +152,7 @@ class DrivenPlant:
             )
         v_source = phase_peak(voltage_v, source.angle_rad)
         action = Settle(operating_point, v_source, self._clock, self._patience, self.rating.peak_current_a)
-        if action not in self._settled:
-            self._settled[action] = self._branches.act((), action)
-        steps, i, _ = self._settled[action]
+        steps, i, _ = once(self._settled, action, lambda: self._branches.act((), action))
         return DrivenState(steps, steps * self.dt_s, i, (action,), v_source)
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[DrivenState, Record]]:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from .protocol import NotSettled, OperatingPoint, OperatingRange, Rating, Source
 from .sources import check_source
+
+K = TypeVar("K")
+V = TypeVar("V")
 
 LARGEST_PU = 1e3
 """A waveform beyond this many times the rated peak is not going to come back."""
@@ -86,6 +89,19 @@ def until_periodic(run: Callable[[int, int], np.ndarray], clock: Clock, patience
         f"the waveforms still change by {residual:.2g} of their peak from one period to the next after "
         f"{patience.longest_s:g} s; {patience.tolerance:g} is asked"
     )
+
+
+def once(known: dict[K, V | NotSettled], key: K, settle: Callable[[], V]) -> V:
+    """What ``settle`` gave for ``key``, or its refusal again: waiting is long, and comes to the same every time."""
+    if key not in known:
+        try:
+            known[key] = settle()
+        except NotSettled as refusal:
+            known[key] = refusal
+    found = known[key]
+    if isinstance(found, NotSettled):
+        raise NotSettled(str(found), found.status)
+    return found
 
 
 def voltage_asked(point: OperatingPoint, source: Source, limits: OperatingRange, rating: Rating, name: str) -> float:

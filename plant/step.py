@@ -27,14 +27,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from math import inf, pi, tan
 from typing import Any
 
 import numpy as np
 
 from .driven import Identity
-from .periodic import Clock, Patience, phase_peak, until_periodic, voltage_asked
+from .periodic import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
 from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from .sources import series_tones
 
@@ -157,7 +157,7 @@ class StepPlant:
         self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
         self._step, self._initial_state = step, initial_state
         self._clock, self._patience = identity.clock, patience
-        self._settled: dict[tuple[OperatingPoint, Source], StepState] = {}
+        self._settled: dict[tuple[OperatingPoint, Source], StepState | NotSettled] = {}
 
     @property
     def releases_gil(self) -> bool:
@@ -177,10 +177,8 @@ class StepPlant:
             If the waveforms do not repeat within the patience.
         """
         voltage_v = voltage_asked(operating_point, source, self.operating_range, self.rating, self.id)
-        key = (operating_point, source)
-        if key not in self._settled:
-            self._settled[key] = self._settle(operating_point, source, voltage_v)
-        return self._settled[key]
+        settle = partial(self._settle, operating_point, source, voltage_v)
+        return once(self._settled, (operating_point, source), settle)
 
     def _settle(self, point: OperatingPoint, source: Source, voltage_v: float) -> StepState:
         if source.kind == "ideal" or source.voltage_v is not None:

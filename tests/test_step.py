@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -126,6 +128,17 @@ def test_a_device_that_does_not_come_to_rest_is_not_settled_and_says_by_how_much
     with pytest.raises(NotSettled, match="leave all bounds") as refusal:
         step_plants.explosive().settle(RATED, Source())
     assert refusal.value.status == "diverged"
+
+
+def test_a_refusal_is_not_waited_for_twice():
+    plant, told = step_plants.restless(), []
+    for _ in range(2):
+        begin = time.process_time()
+        with pytest.raises(NotSettled) as refusal:
+            plant.settle(RATED, Source())
+        told.append((str(refusal.value), time.process_time() - begin))
+    assert told[0][0] == told[1][0]
+    assert told[1][1] < 0.1 * told[0][1]
 
 
 def test_a_state_that_changes_its_type_is_refused_by_name():
