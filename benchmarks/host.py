@@ -57,7 +57,7 @@ def measure(quick: bool) -> Report:
 
 
 def _steps(report: Report, folder: Path, name: str, defines: tuple[str, ...], n: int) -> None:
-    from seqsweep.plant.fmu import Instance, Model, Ports
+    from seqsweep.plant.fmu_instance import Instance, Model, Ports
     from seqsweep.plant.threephase import abc_of
     from tests.fmus import PARAMETERS, fmu, library
 

@@ -76,6 +76,17 @@ def start(*arguments, **options):
     )
 
 
+def ended(*arguments, timeout=180, **options):
+    """Run the command to its end, see that no process of its session is left, and give (exit status, stderr)."""
+    process = start(*arguments, **options)
+    try:
+        _, said = process.communicate(timeout=timeout)
+        assert group_members(process.pid) == []
+    finally:
+        end_group(process)
+    return process.returncode, said
+
+
 def shards_of(output):
     """The shards that are kept beside ``output``."""
     return list(output.with_name(output.name + ".parts").glob("?" * 64))

@@ -14,12 +14,13 @@ import pytest
 from seqsweep.identify.table import read_table
 from seqsweep.plant import fmu_archive
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.fmu import FmuFault, fmu_plant
+from seqsweep.plant.fmu import fmu_plant
 from seqsweep.plant.fmu_archive import ArchiveError, look_through, unpack
+from seqsweep.plant.fmu_instance import FmuFault
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 
 from . import step_plants
-from .commands import campaign, end_group, group_members, start
+from .commands import campaign, ended
 from .fmus import PARAMETERS, description, fmu
 from .sweeps import swept
 
@@ -149,13 +150,8 @@ def test_every_bad_box_costs_its_own_points_with_the_reason(tmp_path, built, def
     lines = "timeout_s = 3.0\n" + toml(start={"fault": -1.0, "after_s": 1.99999})
     path = campaign(tmp_path, plant=f"fmu:{built(*defines)}", plant_lines=lines, powers=range(len(FAULTS) + 1))
     path.write_text(path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", "f_hz = [49.0, 300.0]"))
-    process = start("run", path, "-o", tmp_path / "y.parquet", env=_environment(tmp_path))
-    try:
-        _, said = process.communicate(timeout=180)
-        assert process.returncode == 1, said
-        assert group_members(process.pid) == []
-    finally:
-        end_group(process)
+    status, said = ended("run", path, "-o", tmp_path / "y.parquet", env=_environment(tmp_path))
+    assert status == 1, said
     assert "Traceback" not in said
     well, *ill = read_table(tmp_path / "y.parquet").responses
     assert well.status.tolist() == ["ok", "ok"], well.reason

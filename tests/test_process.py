@@ -16,7 +16,7 @@ from seqsweep.plant.process import process_plant
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 
 from . import step_plants
-from .commands import HERE, call, campaign, end_group, group_members, shards_of, start, wait_for
+from .commands import HERE, call, campaign, end_group, ended, group_members, shards_of, start, wait_for
 
 PEER = f"{sys.executable} {HERE / 'boxes' / 'peer.py'}"
 RATED = OperatingPoint(0.0, 690.0)
@@ -75,13 +75,8 @@ def test_a_bad_program_costs_the_points_that_suffer_from_it_with_the_reason(tmp_
     powers = range(len(FAULTS) + 1)
     path = campaign(tmp_path, plant=f"process:{PEER}", plant_lines=lines, powers=powers)
     path.write_text(path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", "f_hz = [49.0, 300.0]"))
-    process = start("run", path, "-o", tmp_path / "y.parquet", "--jobs", 2)
-    try:
-        _, said = process.communicate(timeout=120)
-        assert process.returncode == 1, said
-        assert group_members(process.pid) == []
-    finally:
-        end_group(process)
+    status, said = ended("run", path, "-o", tmp_path / "y.parquet", "--jobs", 2)
+    assert status == 1, said
     assert "Traceback" not in said
     well, *ill = read_table(tmp_path / "y.parquet").responses
     assert well.status.tolist() == ["ok", "ok"], well.reason
