@@ -25,6 +25,7 @@ NAMES = (
     "parallel",
     "process",
     "thousand",
+    "host",
 )
 NEEDS_DPSIM = {"dpsim_sweep"}
 

@@ -65,7 +65,8 @@ def _modes(x: np.ndarray, dt_s: float) -> np.ndarray:
     averaged = x[:, :whole].reshape(len(x), -1, step).mean(axis=2)
     rows = averaged.shape[1] // 3
     stacked = np.concatenate([np.lib.stride_tricks.sliding_window_view(channel, rows) for channel in averaged])
-    u, singular, _ = np.linalg.svd(np.linalg.qr(stacked, mode="r").T)  # of stacked.T, for less
+    small = np.asarray(np.linalg.qr(stacked, mode="r")).T  # as many singular values and vectors, for less
+    u, singular, _ = np.linalg.svd(small)
     order = int(np.sum(singular[:MAX_MODES] > ABOVE_REST * np.median(singular)))
     turn = np.linalg.lstsq(u[:-1, :order], u[1:, :order], rcond=None)[0]
     return np.log(np.linalg.eigvals(turn).astype(complex)) / (step * dt_s)

@@ -5,8 +5,9 @@ version.** Whatever can move a number in the table (an equation, a default, the 
 power means) gets a new id, and the old one stays or is refused; it never answers with other numbers.
 Corrections that leave every number where it was keep the id.
 
-Other plants come in as ``python:package.module:factory``, or by an entry point of the group
-``seqsweep.plants`` whose name is the id. Nothing is imported before it is asked for.
+Other plants come in as ``python:package.module:factory``, as ``KIND:WHERE`` with a kind of `_KINDS`, or
+by an entry point of the group ``seqsweep.plants`` whose name is the id. Nothing is imported before it is
+asked for.
 """
 
 from __future__ import annotations
@@ -20,13 +21,21 @@ import re
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
-from .protocol import Plant
+from .protocol import OperatingRange, PhasorPlant, Plant, Rating
 
 ENTRY_POINT_GROUP = "seqsweep.plants"
 
-_UNSUPPORTED_KINDS = {"fmu": "an FMU", "cigre": "a real-code controller (CIGRE DLL)", "process": "a plant in a process"}
+_KINDS = {
+    "fmu": "seqsweep.plant.fmu:fmu_plant",
+    "process": "seqsweep.plant.process:process_plant",
+}
+"""Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""
+
+_BLACK_BOXES: set[str] = set()
+"""Registered ids whose plants load foreign code."""
 
 _PROMISES = ("id", "f1_hz", "dt_s", "rating", "operating_range", "power_meaning", "settle", "run")
 
@@ -76,8 +85,37 @@ class PlantSpec:
         return cls(content["id"], content["parameters"])
 
 
-def register(plant_id: str, target: str) -> None:
+@dataclass(frozen=True, slots=True)
+class PlantCard:
+    """What a campaign must know of a plant that it does not hold: a plan can be made from it.
+
+    Attributes
+    ----------
+    id, f1_hz, dt_s, rating, operating_range, power_meaning
+        As in `Plant`.
+    listens : bool
+        Whether it is a `PhasorPlant`.
+    releases_gil : bool
+        Whether threads are worth while.
+    fingerprint : mapping
+        What the table remembers of it.
+    """
+
+    id: str
+    f1_hz: float
+    dt_s: float
+    rating: Rating
+    operating_range: OperatingRange
+    power_meaning: str
+    listens: bool
+    releases_gil: bool
+    fingerprint: Mapping[str, Any]
+
+
+def register(plant_id: str, target: str, *, black_box: bool = False) -> None:
     """Let ``plant_id`` name the factory at ``target``, a "module:attribute" that is imported when asked for.
+
+    ``black_box`` says that the plant loads foreign code: it must run in a process of its own.
 
     Raises
     ------
@@ -90,6 +128,8 @@ def register(plant_id: str, target: str) -> None:
         raise ValueError(f"target {target!r} must read 'module:attribute'")
     if _targets.setdefault(plant_id, target) != target:
         raise ValueError(f"{plant_id} is {_targets[plant_id]} already; changed physics get a new version")
+    if black_box:
+        _BLACK_BOXES.add(plant_id)
 
 
 def registered_ids() -> list[str]:
@@ -98,8 +138,27 @@ def registered_ids() -> list[str]:
 
 
 def is_built_in(plant_id: str) -> bool:
-    """Whether a plant is this package's own; others are foreign and run isolated by default."""
-    return _targets.get(plant_id, "").startswith(f"{__package__}.")
+    """Whether a plant is this package's own and nothing else; others are foreign and run isolated by default."""
+    return _targets.get(plant_id, "").startswith(f"{__package__}.") and not is_black_box(plant_id)
+
+
+def is_black_box(plant_id: str) -> bool:
+    """Whether a plant loads foreign native code, or starts it: never done in the runner."""
+    return plant_id in _BLACK_BOXES or plant_id.partition(":")[0] in _KINDS
+
+
+def runs_isolated(plant_id: str, wish: bool | None) -> bool:
+    """Whether a plant runs in a process of its own; ``wish`` is what the campaign says, None nothing.
+
+    Raises
+    ------
+    PlantError
+        If a black box is wished into the runner, or there is no such plant.
+    """
+    _target(plant_id)
+    if is_black_box(plant_id) and wish is False:
+        raise PlantError(f"plant.isolate = false: {plant_id} is foreign code, which is never loaded in the runner")
+    return not is_built_in(plant_id) if wish is None else wish
 
 
 def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Plant:
@@ -131,13 +190,32 @@ def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Pl
     return plant
 
 
-def releases_gil(plant: Plant) -> bool:
+def card_of(plant: Plant, spec: PlantSpec) -> PlantCard:
+    """The card of a plant that ``spec`` made: plain values, whatever the plant made them of."""
+    power, voltage = plant.operating_range.active_power_w, plant.operating_range.terminal_voltage_v
+    return PlantCard(
+        id=str(plant.id),
+        f1_hz=float(plant.f1_hz),
+        dt_s=float(plant.dt_s),
+        rating=Rating(float(plant.rating.voltage_v), float(plant.rating.power_va)),
+        operating_range=OperatingRange((float(power[0]), float(power[1])), (float(voltage[0]), float(voltage[1]))),
+        power_meaning=str(plant.power_meaning),
+        listens=isinstance(plant, PhasorPlant),
+        releases_gil=releases_gil(plant),
+        fingerprint=json.loads(json.dumps(fingerprint(plant, spec))),
+    )
+
+
+def releases_gil(plant: Plant | PlantCard) -> bool:
     """Whether the plant's class declares ``releases_gil = True``: worth running in threads."""
     return bool(getattr(plant, "releases_gil", False))
 
 
 def fingerprint(plant: Plant, spec: PlantSpec) -> dict[str, Any]:
-    """What the table remembers of the plant; JSON values only."""
+    """What the table remembers of the plant; JSON values only.
+
+    A plant that is more than its parameters, such as the content of a file, says what in ``contents``.
+    """
     return {
         "id": spec.id,
         "parameters": dict(spec.parameters),
@@ -145,6 +223,7 @@ def fingerprint(plant: Plant, spec: PlantSpec) -> dict[str, Any]:
         "f1_hz": plant.f1_hz,
         "rating": {"voltage_v": plant.rating.voltage_v, "power_va": plant.rating.power_va},
         "power_meaning": plant.power_meaning,
+        **getattr(plant, "contents", {}),
     }
 
 
@@ -152,34 +231,40 @@ def fingerprint(plant: Plant, spec: PlantSpec) -> dict[str, Any]:
 
 
 def _find(plant_id: str) -> Any:
+    kind, _, rest = plant_id.partition(":")
+    target = _target(plant_id)
+    if kind == "python" and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    importlib.invalidate_caches()
+    factory = _load(plant_id, target)
+    return partial(factory, rest) if kind in _KINDS else factory
+
+
+def _target(plant_id: str) -> str:
+    """The "module:attribute" behind an id; it is not imported."""
     kind, colon, rest = plant_id.partition(":")
     if colon and kind == "python":
-        return _find_python(plant_id, rest)
-    if colon and kind in _UNSUPPORTED_KINDS:
-        raise PlantError(f"{plant_id}: {_UNSUPPORTED_KINDS[kind]} is not supported by this version of seqsweep")
+        if not re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*", rest):
+            raise PlantError(f"{plant_id} must read python:package.module:factory")
+        return rest
+    if colon and kind in _KINDS:
+        if not rest:
+            raise PlantError(f"{plant_id} must name something behind the colon")
+        return _KINDS[kind]
     if colon:
-        raise PlantError(f"{plant_id}: unknown kind of plant {kind!r}{_did_you_mean(kind, ['python'])}")
+        raise PlantError(f"{plant_id}: unknown kind of plant {kind!r}{_did_you_mean(kind, ['python', *_KINDS])}")
     if plant_id in _targets:
-        return _load(plant_id, _targets[plant_id])
+        return _targets[plant_id]
     from importlib.metadata import entry_points
 
     offered = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}
     if plant_id in offered:
-        return _load(plant_id, offered[plant_id])
+        return offered[plant_id]
     known = sorted({*_targets, *offered})
+    kinds = ", ".join(["python:package.module:factory", *(f"{kind}:..." for kind in _KINDS)])
     raise PlantError(
-        f"unknown plant {plant_id!r}{_did_you_mean(plant_id, known)}; known are {', '.join(known)} "
-        "and python:package.module:factory"
+        f"unknown plant {plant_id!r}{_did_you_mean(plant_id, known)}; known are {', '.join(known)}, {kinds}"
     )
-
-
-def _find_python(plant_id: str, target: str) -> Any:
-    if not re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*", target):
-        raise PlantError(f"{plant_id} must read python:package.module:factory")
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    importlib.invalidate_caches()
-    return _load(plant_id, target)
 
 
 def _load(plant_id: str, target: str) -> Any:

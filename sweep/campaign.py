@@ -6,6 +6,7 @@ kept is written by the runner, so that workers may be threads, processes or othe
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -18,12 +19,13 @@ import numpy as np
 from ..identify.adaptive import Decision, decide
 from ..identify.response import FrequencyResponse
 from ..identify.table import QUALITY, unpack_covariance, write_table
+from ..plant.endings import die_with_parent
 from ..plant.protocol import Plant
-from ..plant.registry import releases_gil
+from ..plant.registry import PlantCard, releases_gil
 from . import shards
 from .amplitude import chosen, parts, pilots
 from .grid import Frequency
-from .isolate import children, die_with_parent
+from .isolate import children
 from .linearity import judged
 from .measure import measure
 from .plan import Batch, Condition, Plan
@@ -54,7 +56,7 @@ class Outcome(NamedTuple):
 
 def run(
     plan: Plan,
-    plant: Plant,
+    plant: Plant | PlantCard,
     output: Path,
     *,
     jobs: int,
@@ -68,7 +70,7 @@ def run(
     Parameters
     ----------
     plan, plant
-        What is asked, and of whom.
+        What is asked, and of whom; a card is enough where the plan is isolated.
     output : path
         The Parquet table; shards are kept in ``OUTPUT.parts`` until it is written.
     jobs : int
@@ -176,7 +178,7 @@ def _further(report: Report, before: int, most: int) -> Report:
 def _measure_missing(
     plan: Plan,
     batches: Sequence[Batch],
-    plant: Plant,
+    plant: Plant | PlantCard,
     folder: Path,
     jobs: int,
     backend: str,
@@ -205,7 +207,7 @@ def _work(points: Sequence[Frequency]) -> int:
 
 
 def _results(
-    plan: Plan, plant: Plant, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
+    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
 ) -> Iterator[tuple[Batch, BatchResult]]:
     """Results as they come; a lost worker costs what it was at."""
     left = {batch.key: batch for batch in batches}
@@ -235,7 +237,7 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
 
 
 def _parallel(
-    plan: Plan, plant: Plant, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
+    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
 ) -> Iterator[tuple[str, BatchResult]]:
     from joblib import Parallel, delayed, parallel_config
 
@@ -267,7 +269,9 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[None]:
 
 
 @contextmanager
-def _worker(plan: Plan, plant: Plant, jobs: int, backend: str) -> Iterator[Callable[[Batch], tuple[str, BatchResult]]]:
+def _worker(
+    plan: Plan, plant: Plant | PlantCard, jobs: int, backend: str
+) -> Iterator[Callable[[Batch], tuple[str, BatchResult]]]:
     """The task of a batch: threads share the plant, or children that hold it; processes make their own."""
     if backend == "loky":
         yield partial(_in_child, plan)
@@ -277,12 +281,13 @@ def _worker(plan: Plan, plant: Plant, jobs: int, backend: str) -> Iterator[Calla
         with children(plan, jobs) as isolated:
             yield lambda batch: (batch.key, isolated.measure(batch))
     else:
+        assert not isinstance(plant, PlantCard)
         yield lambda batch: (batch.key, measure(plant, plan, batch))
 
 
 def _in_child(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
     """A process of our own would wait minutes for a runner that was killed: it goes with it."""
-    die_with_parent()
+    die_with_parent(os.getppid())
     return _in_process(plan, batch)
 
 
@@ -298,7 +303,7 @@ def _in_process(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
 
 def _assemble(
     plan: Plan,
-    plant: Plant,
+    plant: Plant | PlantCard,
     batches: Sequence[Batch],
     certificates: Mapping[str, dict[str, Any]],
     folder: Path,
@@ -359,7 +364,9 @@ def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyRespons
     )
 
 
-def _metadata(plan: Plan, plant: Plant, by_condition: dict[str, list[Batch]], folder: Path) -> dict[str, Any]:
+def _metadata(
+    plan: Plan, plant: Plant | PlantCard, by_condition: dict[str, list[Batch]], folder: Path
+) -> dict[str, Any]:
     return {
         "f1_hz": plan.f1_hz,
         "bases": {"rated_voltage_v": plant.rating.voltage_v, "rated_power_va": plant.rating.power_va},
@@ -373,7 +380,7 @@ def _metadata(plan: Plan, plant: Plant, by_condition: dict[str, list[Batch]], fo
     }
 
 
-def _condition_metadata(condition: Condition, plant: Plant, seen: dict[str, float]) -> dict[str, Any]:
+def _condition_metadata(condition: Condition, plant: Plant | PlantCard, seen: dict[str, float]) -> dict[str, Any]:
     """An operating point as the table tells of it; |v_pcc| is what was asked, else what was found."""
     voltage_v = condition.terminal_voltage_v or seen.get("terminal_voltage_v")
     entry: dict[str, Any] = {

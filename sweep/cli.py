@@ -18,6 +18,7 @@ import typer
 
 if TYPE_CHECKING:
     from ..plant.protocol import Plant
+    from ..plant.registry import PlantCard
     from .plan import Plan
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
@@ -150,12 +151,16 @@ def validate(table: TableFile) -> None:
 
 
 @app.command()
-def check(plant: Annotated[str, typer.Argument(metavar="PLANT", help="The id of a plant.")]) -> None:
-    """Hold a plant against its promise."""
-    from ..plant.check import check_plant
-    from ..plant.registry import make_plant
+def check(
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="A plant's id, a CAMPAIGN.toml, or a file to read.")],
+) -> None:
+    """Hold a plant against its promise; of a file (.fmu, .so, .dll, .py) say what it is, executing nothing."""
+    from .inspection import findings_of, findings_of_campaign, inspect, is_inspected
 
-    findings = check_plant(make_plant(plant))
+    if is_inspected(plant):
+        typer.echo(inspect(Path(plant)))
+        return
+    findings = findings_of_campaign(Path(plant)) if plant.endswith(".toml") else findings_of(plant)
     width = max(len(finding.name) for finding in findings)
     for finding in findings:
         typer.echo(f"{'pass' if finding.passed else 'FAIL'}  {finding.name:<{width}}  {finding.detail}".rstrip())
@@ -213,22 +218,11 @@ def verify(
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Power, r(t), ...: .png, .svg or .pdf.")] = None,
 ) -> None:
     """The same device in time, with and without damping control."""
-    from ..identify.table import read_table
-    from .scenario import read_story
-    from .verify import cause_gone_of, format_report, read_tuning, tuned_of, write_json
-    from .verify import verify as run_both
+    from .verify_job import VerifyJob, verified
 
     _check_outputs(output, plot)
-    tuned = tuned_of(read_tuning(tuning), op)
-    cause_gone = None if table is None else cause_gone_of(read_table(table).response(tuned.op_id))
-    result = run_both(tuned, None if scenario is None else read_story(scenario), cause_gone)
-    typer.echo(format_report(result, shutil.get_terminal_size((100, 24)).columns))
-    if output is not None:
-        write_json(result, output)
-    if plot is not None:
-        from .verify_plot import plot as draw
-
-        draw(result, plot)
+    width = shutil.get_terminal_size((100, 24)).columns
+    typer.echo(verified(VerifyJob(tuning, table, op, scenario, output, plot, width)))
 
 
 @app.command()
@@ -243,12 +237,16 @@ def grid(
     settings: Settings = None,
 ) -> None:
     """R + jX of the grid behind the PCC, identified while the plant runs on it."""
-    from .grid_probe import format_report, make_probe, probe_grids, to_json, write_json
+    from ..plant.registry import PlantCard
+    from .grid_probe import format_report, make_probe, probe_grids, probe_in_a_child, to_json, write_json
 
     _check_outputs(output, plot)
     planned, plant = _planned(campaign, settings)
     probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
-    seen = probe_grids(plant, planned, probe, op)
+    if isinstance(plant, PlantCard):
+        seen = probe_in_a_child(planned, probe, op)
+    else:
+        seen = probe_grids(plant, planned, probe, op)
     typer.echo(format_report(seen, probe, plant.f1_hz))
     if output is not None:
         write_json(to_json(seen, probe, planned), output)
@@ -375,15 +373,15 @@ class _WrongInput(ValueError):
     """A call that cannot be carried out as given."""
 
 
-def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant]:
-    from ..plant.registry import make_plant
+def _planned(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant | PlantCard]:
     from .config import load_config
+    from .isolate import plant_or_card
     from .plan import make_plan
 
     config = load_config(campaign, settings or ())
     if config.plant.id == "external":
         raise _WrongInput(f"{campaign}: an external device cannot be driven from here; seqsweep inject writes files")
-    plant = make_plant(config.plant.id, config.plant.parameters)
+    plant = plant_or_card(config)
     planned = make_plan(config, plant)
     for warning in planned.warnings:
         typer.echo(f"warning: {warning}", err=True)

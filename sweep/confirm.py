@@ -9,23 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..identify.fit import evaluate_pn, fit_response
 from ..identify.response import FrequencyResponse
-from ..plant.registry import make_plant
+from ..plant.protocol import Plant
+from ..plant.registry import PlantCard
 from ..tuning.gain import GainSearch, search_gain
 from ..tuning.result import PointTuning, TuningResult, confirmed
 from ..tuning.siso import Grid
 from ..tuning.stability import bode_crossings, critical_crossing, swept_band
 from .campaign import response_of
 from .config import Config
+from .isolate import children, plant_or_card
 from .linearity import judged
 from .measure import measure
-from .plan import make_plan
+from .plan import Plan, make_plan
+from .rows import BatchResult
 
 Report = Callable[[str], None]
 
@@ -149,13 +151,20 @@ def sweep_with_damping(
     data["operating_point"] = [point for point in data["operating_point"] if point["id"] == op_id]
     damped = Config.from_dict(data)
     try:
-        plant = make_plant(damped.plant.id, damped.plant.parameters)
+        plant = plant_or_card(damped)
     except ValueError as error:
         raise ConfirmError(
             f"{damped.plant.id} cannot be swept with damping control: it offers no measurement port ({error})"
         ) from None
-    plan = replace(make_plan(damped, plant), isolate=False)
-    with ThreadPoolExecutor(jobs) as pool:
-        results = list(pool.map(lambda batch: measure(plant, plan, batch), plan.batches()))
-    rows = sorted((row for each in results for row in each.rows), key=lambda row: row.f_hz)
+    plan = make_plan(damped, plant)
+    rows = sorted((row for each in _measured(plan, plant, jobs) for row in each.rows), key=lambda row: row.f_hz)
     return response_of(plan, op_id, judged(rows, plan.nonlinear_above))
+
+
+def _measured(plan: Plan, plant: Plant | PlantCard, jobs: int) -> list[BatchResult]:
+    """Every batch in threads that share the plant, or children that hold it."""
+    with ThreadPoolExecutor(jobs) as pool:
+        if isinstance(plant, PlantCard):
+            with children(plan, jobs) as isolated:
+                return list(pool.map(isolated.measure, plan.batches()))
+        return list(pool.map(lambda batch: measure(plant, plan, batch), plan.batches()))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from math import ceil
 from typing import Any
 
-from ..plant.protocol import Job, PhasorPlant, Plant, Window
+from ..plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
+from ..plant.registry import PlantCard
+from .child import child
+from .isolate import DEFAULT_TIMEOUT_S
 from .loadflow import reached
-from .plan import EXPECTED_WINDOWS, Batch, Plan
+from .plan import EXPECTED_WINDOWS, Plan
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
@@ -19,31 +23,46 @@ START_S = 0.3
 """Starting workers and writing the table."""
 
 
-def wall_time_s(plan: Plan, plant: Plant, jobs: int) -> float:
+def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     """Expected wall time (s) of ``plan`` with ``jobs`` workers on this machine.
 
-    The plant is settled at the first operating point and run for a few blocks, unperturbed where a shot is a tone.
-    Windows are as many as the plan expects.
+    The plant is settled at the first operating point and run for a few blocks, unperturbed where a shot is a tone, in
+    a child where only its card is here. Windows are as many as the plan expects.
 
     Raises
     ------
     NotSettled
         If the first operating point has no steady state.
+    ChildFailed
+        If a plant in a child crashes, hangs or raises.
     """
-    per_block_s, together = _cost_of_a_block(plan, plant)
+    per_block_s, together = _cost_in_a_child(plan) if isinstance(plant, PlantCard) else _cost_of_a_block(plan, plant)
     batches = list(plan.batches())
     if plan.signal is not None:
         blocks = [plan.simulated_s / plan.n_shots / plan.block.duration_s] * len(batches)
         runs = [1] * len(batches)
     else:
         blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
-        runs = [ceil(_n_shots(plan, batch) / together) for batch in batches]
+        runs = [ceil(len(plan.shots_in(batch)) / together) for batch in batches]
     work_s = [per_block_s * b * n + BATCH_OVERHEAD_S for b, n in zip(blocks, runs, strict=True)]
     return START_S + max(max(work_s), sum(work_s) / jobs)
 
 
-def _n_shots(plan: Plan, batch: Batch) -> int:
-    return sum(len(plan.shots_of(batch.condition, point)) for point in batch.points)
+def _cost_in_a_child(plan: Plan) -> tuple[float, int]:
+    timeout_s = plan.timeout_s or DEFAULT_TIMEOUT_S
+    with child(plan.spec) as asked:
+        late = f"settling and a few periods took longer than {timeout_s:g} s of wall time (plant.timeout_s)"
+        cost = asked.ask(partial(_cost_or_refusal, plan), timeout_s, late)
+    if isinstance(cost, NotSettled):
+        raise cost
+    return cost
+
+
+def _cost_or_refusal(plan: Plan, plant: Plant) -> tuple[float, int] | NotSettled:
+    try:
+        return _cost_of_a_block(plan, plant)
+    except NotSettled as refusal:
+        return NotSettled(str(refusal), refusal.status)
 
 
 def _cost_of_a_block(plan: Plan, plant: Plant) -> tuple[float, int]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import floor, hypot, isfinite, log10
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,11 @@ import numpy as np
 from ..identify.grid_impedance import GridImpedance, identify_grid
 from ..identify.table import atomic_file
 from ..plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
+from ..plant.registry import PlantCard
+from .child import ChildFailed, child
 from .config import MAX_AMPLITUDE_PU
 from .grid import coherent_block
+from .isolate import DEFAULT_TIMEOUT_S
 from .lines import SignalError
 from .loadflow import reached
 from .plan import Condition, Plan
@@ -77,7 +81,7 @@ class GridSeen:
 
 
 def make_probe(
-    kind: str, plant: Plant, amplitude_pu: float, duration_s: float, band_hz: tuple[float, float] = BAND_HZ
+    kind: str, plant: Plant | PlantCard, amplitude_pu: float, duration_s: float, band_hz: tuple[float, float] = BAND_HZ
 ) -> Probe:
     """A probing signal that fits the plant's step and fundamental.
 
@@ -86,7 +90,7 @@ def make_probe(
     kind : str
         One of `KINDS`: cosines at odd lines, amplitudes falling with the root of nu, of low crest factor;
         or the inverse repeat of a quadratic-residue binary sequence.
-    plant : Plant
+    plant : Plant or PlantCard
         Gives f1 and the step.
     amplitude_pu : float
         Peak over the rated peak.
@@ -129,6 +133,27 @@ def probe_grids(plant: Plant, plan: Plan, probe: Probe, op_ids: Sequence[str] | 
                 "it one, grid = { r_ohm = 0.012, x_ohm = 0.25 }, or a [source] of kind 'thevenin'"
             )
     return [_seen(plant, plan, probe, condition) for condition in conditions]
+
+
+def probe_in_a_child(plan: Plan, probe: Probe, op_ids: Sequence[str] | None = None) -> list[GridSeen]:
+    """As `probe_grids`, for a plant that runs isolated: a child holds it.
+
+    Raises
+    ------
+    ProbeError
+        If it crashes, hangs or raises.
+    """
+    timeout_s = (plan.timeout_s or DEFAULT_TIMEOUT_S) * len(plan.conditions)
+    late = f"probing took longer than {timeout_s:g} s of wall time (plant.timeout_s for each operating point)"
+    try:
+        with child(plan.spec) as asked:
+            return asked.ask(partial(_probed, plan, probe, op_ids), timeout_s, late)
+    except ChildFailed as failure:
+        raise ProbeError(str(failure)) from None
+
+
+def _probed(plan: Plan, probe: Probe, op_ids: Sequence[str] | None, plant: Plant) -> list[GridSeen]:
+    return probe_grids(plant, plan, probe, op_ids)
 
 
 def _chosen(plan: Plan, op_ids: Sequence[str] | None) -> list[Condition]:

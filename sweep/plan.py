@@ -19,13 +19,12 @@ from ..plant.protocol import (
     Injection,
     InjectionKind,
     OperatingPoint,
-    PhasorPlant,
     Plant,
     Source,
     Tone,
     reactance_to_inductance,
 )
-from ..plant.registry import PlantSpec, fingerprint, is_built_in
+from ..plant.registry import PlantCard, PlantSpec, card_of, runs_isolated
 from .config import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SweepSection
 from .grid import Block, Frequency, coherent_block, generated, listed
 from .rounds import Adaptive, first_round
@@ -301,6 +300,10 @@ class Plan:
             }
         )
 
+    def shots_in(self, batch: Batch) -> tuple[Shot | Play, ...]:
+        """The experiments of a batch."""
+        return tuple(self._shots_of_all(batch.condition, batch.points))
+
     def _shots_of_all(self, condition: Condition, points: tuple[Frequency, ...]) -> Iterator[Shot | Play]:
         if self.signal is not None:
             return iter(self.plays_of(condition))
@@ -316,8 +319,10 @@ def _signal_facts(signal: Signal) -> dict[str, Any]:
     }
 
 
-def make_plan(config: Config, plant: Plant) -> Plan:
+def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
     """What ``config`` asks of ``plant``, checked; nothing runs.
+
+    A plant that is not to be loaded here is planned from its card.
 
     Raises
     ------
@@ -327,22 +332,23 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         If frequencies are unusable.
     """
     spec = PlantSpec(config.plant.id, config.plant.parameters)
-    signal, points, warnings = _signal_and_points(config, plant)
-    conditions = tuple(_condition(section, plant) for section in config.operating_point)
-    _check_range(conditions, plant)
+    card = plant if isinstance(plant, PlantCard) else card_of(plant, spec)
+    signal, points, warnings = _signal_and_points(config, card)
+    conditions = tuple(_condition(section, card) for section in config.operating_point)
+    _check_range(conditions, card)
     voltage_like = config.injection.kind == "series_voltage"
-    peak = plant.rating.peak_voltage_v if voltage_like else plant.rating.peak_current_a
+    peak = card.rating.peak_voltage_v if voltage_like else card.rating.peak_current_a
     source = Source(
         config.source.kind,
         config.source.r_ohm,
-        reactance_to_inductance(config.source.x_ohm, plant.f1_hz),
+        reactance_to_inductance(config.source.x_ohm, card.f1_hz),
     )
     return Plan(
         spec=spec,
-        plant_fingerprint=fingerprint(plant, spec),
-        f1_hz=plant.f1_hz,
-        dt_s=plant.dt_s,
-        block=coherent_block(plant.f1_hz, plant.dt_s),
+        plant_fingerprint=card.fingerprint,
+        f1_hz=card.f1_hz,
+        dt_s=card.dt_s,
+        block=coherent_block(card.f1_hz, card.dt_s),
         points=tuple(points),
         conditions=conditions,
         source=source,
@@ -356,8 +362,8 @@ def make_plan(config: Config, plant: Plant) -> Plan:
         uncertainty=config.sweep.uncertainty,
         nonlinear_above=config.sweep.nonlinear_above,
         max_simulated_s=config.sweep.max_simulated_s,
-        batch_pairs=_batch_pairs(len(points), len(conditions), plant),
-        isolate=not is_built_in(spec.id) if config.plant.isolate is None else config.plant.isolate,
+        batch_pairs=_batch_pairs(len(points), len(conditions), card),
+        isolate=runs_isolated(spec.id, config.plant.isolate),
         timeout_s=config.plant.timeout_s,
         configuration=config.to_dict(),
         warnings=tuple(warnings),
@@ -365,13 +371,13 @@ def make_plan(config: Config, plant: Plant) -> Plan:
     )
 
 
-def _signal_and_points(config: Config, plant: Plant) -> tuple[Signal | None, list[Frequency], list[str]]:
+def _signal_and_points(config: Config, plant: PlantCard) -> tuple[Signal | None, list[Frequency], list[str]]:
     if config.injection.signal == "tone":
         return None, *_points(config, plant)
     return broadband(config.sweep, config.injection, plant.f1_hz, plant.dt_s)
 
 
-def _points(config: Config, plant: Plant) -> tuple[list[Frequency], list[str]]:
+def _points(config: Config, plant: PlantCard) -> tuple[list[Frequency], list[str]]:
     sweep = config.sweep
     if sweep.f_hz is not None:
         return listed(sweep.f_hz, plant.f1_hz, plant.dt_s)
@@ -402,7 +408,7 @@ def _adaptive(sweep: SweepSection) -> Adaptive | None:
     return Adaptive(sweep.f_min_hz, sweep.f_max_hz, sweep.points, tolerance)
 
 
-def _condition(section: OperatingPointSection, plant: Plant) -> Condition:
+def _condition(section: OperatingPointSection, plant: PlantCard) -> Condition:
     power_w, u = section.active_power_mw * 1e6, plant.rating.voltage_v
     if section.grid is None:
         assert section.terminal_voltage_pu is not None
@@ -412,7 +418,7 @@ def _condition(section: OperatingPointSection, plant: Plant) -> Condition:
     return Condition(section.id, power_w, None, grid)
 
 
-def _check_range(conditions: tuple[Condition, ...], plant: Plant) -> None:
+def _check_range(conditions: tuple[Condition, ...], plant: PlantCard) -> None:
     power, voltage = plant.operating_range.active_power_w, plant.operating_range.terminal_voltage_v
     u = plant.rating.voltage_v
     for condition in conditions:
@@ -449,9 +455,9 @@ def _alike(points: tuple[Frequency, ...], probes: frozenset[float], most: int) -
     return [tuple(group) for group in groups]
 
 
-def _batch_pairs(n_points: int, n_conditions: int, plant: Plant) -> int:
+def _batch_pairs(n_points: int, n_conditions: int, plant: PlantCard) -> int:
     """Small batches keep two cores busy and lose little; big ones settle and store less often."""
-    if not isinstance(plant, PhasorPlant):
+    if not plant.listens:
         return 1
     return 8 if n_points * n_conditions <= 1000 else 50
 

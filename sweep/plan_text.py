@@ -6,6 +6,8 @@ import textwrap
 from collections.abc import Iterator
 
 from ..plant.protocol import NotSettled, Plant
+from ..plant.registry import PlantCard
+from .child import ChildFailed
 from .estimate import wall_time_s
 from .plan import PROBE_AMPLITUDE, Plan
 from .signals import Signal
@@ -13,7 +15,7 @@ from .signals import Signal
 CONDITIONS_SHOWN = 12
 
 
-def plan_text(plan: Plan, plant: Plant, jobs: int) -> str:
+def plan_text(plan: Plan, plant: Plant | PlantCard, jobs: int) -> str:
     """Every shot of ``plan``, simulated seconds and the wall time expected with ``jobs`` workers."""
     return "\n".join(
         [*_shots(plan), *_further_rounds(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)]
@@ -51,7 +53,7 @@ def _further_rounds(plan: Plan) -> Iterator[str]:
         )
 
 
-def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
+def _conditions(plan: Plan, plant: Plant | PlantCard) -> Iterator[str]:
     yield f"{len(plan.conditions)} operating point{'s' if len(plan.conditions) > 1 else ''}, source {plan.source.kind}:"
     for condition in plan.conditions[:CONDITIONS_SHOWN]:
         voltage = condition.terminal_voltage_v
@@ -61,7 +63,7 @@ def _conditions(plan: Plan, plant: Plant) -> Iterator[str]:
         yield f"  ... and {len(plan.conditions) - CONDITIONS_SHOWN} more"
 
 
-def _totals(plan: Plan, plant: Plant, jobs: int) -> Iterator[str]:
+def _totals(plan: Plan, plant: Plant | PlantCard, jobs: int) -> Iterator[str]:
     unit = "V" if plan.kind == "series_voltage" else "A"
     yield f"{plan.n_shots} shots of {plan.amplitude:.4g} {unit} peak ({plan.amplitude_pu:g} pu), {plan.kind}"
     if plan.automatic:
@@ -73,3 +75,5 @@ def _totals(plan: Plan, plant: Plant, jobs: int) -> Iterator[str]:
         yield f"about {wall_time_s(plan, plant, jobs):.2g} s with {jobs} worker{'s' if jobs > 1 else ''}"
     except NotSettled as refusal:
         yield f"wall time unknown: the first operating point does not settle: {refusal}"
+    except ChildFailed as failure:
+        yield f"wall time unknown: {failure}"

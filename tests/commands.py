@@ -76,6 +76,17 @@ def start(*arguments, **options):
     )
 
 
+def ended(*arguments, timeout=180, **options):
+    """Run the command to its end, see that no process of its session is left, and give (exit status, stderr)."""
+    process = start(*arguments, **options)
+    try:
+        _, said = process.communicate(timeout=timeout)
+        assert group_members(process.pid) == []
+    finally:
+        end_group(process)
+    return process.returncode, said
+
+
 def shards_of(output):
     """The shards that are kept beside ``output``."""
     return list(output.with_name(output.name + ".parts").glob("?" * 64))
@@ -90,14 +101,14 @@ def wait_for(condition, timeout_s=30.0):
 
 
 def group_members(group):
-    """Processes alive in a process group (Linux)."""
+    """Processes alive in the session that a process of `start` leads, whatever their process group (Linux)."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = stat.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        if int(fields[2]) == group and fields[0] != "Z":
+        if int(fields[3]) == group and fields[0] != "Z":
             found.append(int(stat.parent.name))
     return found
 

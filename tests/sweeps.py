@@ -43,3 +43,11 @@ def inside(rows, exact, level=0.95):
     variance = np.array([np.diagonal(covariance_of(row)).reshape(4, 2).sum(axis=1) for row in rows])
     off = (y_of(rows) - exact).reshape(-1, 4)
     return np.abs(off) ** 2 <= -np.log(1.0 - level) * variance
+
+
+def swept(plant, f_hz, **sections):
+    """Admittances (n, 2, 2) in S of ``plant`` at 0.2 MW and rated voltage, where every row is ok."""
+    point = {"active_power_mw": 0.2, "terminal_voltage_pu": 1.0}
+    rows = rows_of(plant, planned(plant, f_hz=f_hz, point=point, **sections))
+    assert [row.status for row in rows] == ["ok"] * len(rows), rows
+    return y_of(rows)

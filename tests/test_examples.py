@@ -56,3 +56,26 @@ def test_the_grid_is_found_in_a_noisy_second(tmp_path: Path) -> None:
         assert abs(float(found) - float(true)) < 4.0 * float(std)
     assert "an R-L branch: True" in said
     assert picture.stat().st_size > 10_000
+
+
+def test_a_script_becomes_a_plant_in_five_lines() -> None:
+    said = output_of(SEQSWEEP, "check", "python:step_plant:load", cwd=EXAMPLES)
+    assert "FAIL" not in said
+
+
+def test_the_reference_programs_are_the_same_device(tmp_path: Path) -> None:
+    """Python and C, through the command: every promise, with and without snapshots."""
+    cc = shutil.which("cc") or pytest.skip("no C compiler")
+    program = tmp_path / "process_plant"
+    output_of(cc, "-O2", "-Wall", "-Werror", "-o", str(program), str(EXAMPLES / "process_plant.c"), "-lm", cwd=tmp_path)
+    for command in (f"{sys.executable} {EXAMPLES / 'process_plant.py'}", str(program)):
+        said = output_of(SEQSWEEP, "check", f"process:{command}", cwd=tmp_path)
+        assert "FAIL" not in said
+        assert "pass  halves" in said
+
+
+def test_the_page_shows_the_step_function_as_it_is() -> None:
+    page = (EXAMPLES.parent / "docs" / "black-boxes.md").read_text("utf-8")
+    example = (EXAMPLES / "step_plant.py").read_text("utf-8")
+    code = example[example.index("from seqsweep") :].replace("\n\n\n", "\n\n").strip()
+    assert code in page.replace("\n    ", "\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -15,6 +16,8 @@ from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Plant
 from seqsweep.plant.registry import PlantError, PlantSpec, fingerprint, make_plant, register, releases_gil
+
+from .commands import call, campaign
 
 
 def test_the_built_in_plants_are_found_and_answer_the_protocol():
@@ -42,12 +45,6 @@ def test_an_unknown_id_is_refused_with_the_nearest_known_one():
         make_plant("DPMSG", {})
     with pytest.raises(PlantError, match=r"unknown plant 'turbogenerator'; known are"):
         make_plant("turbogenerator", {})
-
-
-@pytest.mark.parametrize("plant_id", ["fmu:a.fmu", "cigre:a.dll", "process:./a.out"])
-def test_kinds_that_are_not_built_yet_say_so(plant_id):
-    with pytest.raises(PlantError, match="not supported by this version"):
-        make_plant(plant_id, {})
 
 
 def test_an_unknown_kind_is_refused():
@@ -135,6 +132,26 @@ def test_an_entry_point_is_read_only_for_an_unknown_id(monkeypatch):
     assert asked == ["seqsweep.plants"]
     with pytest.raises(PlantError, match="did you mean 'vendor-v1'"):
         make_plant("vendor-v2", {})
+
+
+def test_another_distribution_brings_a_plant_of_its_own(tmp_path):
+    """Metadata as an installer leaves them, on the search path of the command: the runner and its children find it."""
+    (tmp_path / "vendor_plants.py").write_text(
+        "from seqsweep.plant.branch import RLBranch\n\n\nclass Box(RLBranch):\n    id = 'vendor-box-v1'\n"
+    )
+    info = tmp_path / "vendor_plants-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: vendor-plants\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[seqsweep.plants]\nvendor-box-v1 = vendor_plants:Box\n")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = call("check", "vendor-box-v1", env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("pass  attributes        vendor-box-v1: f1 = 50 Hz")
+    swept = call("run", campaign(tmp_path, plant="vendor-box-v1", n=3), "-o", tmp_path / "y.parquet", env=environment)
+    assert (swept.returncode, "3 ok" in swept.stderr) == (0, True), swept.stderr
+    missed = call("check", "vendor-box-v2", env=environment)
+    assert missed.returncode == 2
+    assert "did you mean 'vendor-box-v1'" in missed.stderr
 
 
 def test_an_id_needs_a_version_and_keeps_its_meaning(monkeypatch):

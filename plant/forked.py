@@ -1,0 +1,298 @@
+"""Snapshots by fork: a box that can only go forwards is settled once and branched many times.
+
+A position is the *way* to it: the actions taken since the box was built. Every position that was
+reached is a process that waits there; to go on from it, it is forked, and the fork acts. So hidden
+statics, files in memory and heaps branch along, and a crash costs one branch. Where a position was let go,
+the way is gone again from the nearest one that is left: slower, the same answer.
+
+    this process -- nursery (no threads, adopts the forks) -- one process per position
+
+Linux. A box with threads of its own cannot be forked.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from multiprocessing import reduction
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from .endings import adopt_orphans, die_with_parent, how_it_ended
+
+T = TypeVar("T")
+
+MOST_KEPT = 24
+"""Positions kept as processes; the one that was not needed for longest goes first."""
+
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class BoxDied(Exception):
+    """The process of a box ended in the midst of an action; the message says how."""
+
+
+class CannotFork(Exception):
+    """This system, or this box, knows no snapshot by fork."""
+
+
+Action = Callable[[Any], Any]
+"""Something done with a box, a hashable value that can be pickled; it does the same every time."""
+
+Way = tuple[Action, ...]
+
+
+class Forks:
+    """Branches of a box that is built, and acts, in processes of its own.
+
+    Parameters
+    ----------
+    build : callable
+        Makes the box, in the first of these processes; can be pickled.
+    prepare : callable, optional
+        What is done once before anything is forked, such as compiling kernels; can be pickled.
+    most_kept : int
+        Positions kept as processes.
+    """
+
+    def __init__(
+        self, build: Callable[[], Any], prepare: Callable[[], object] | None = None, most_kept: int = MOST_KEPT
+    ):
+        self._setting = (build, prepare, most_kept)
+        self._nursery: tuple[subprocess.Popen[bytes], Connection] | None = None
+
+    def act(self, way: Way, action: Action) -> Any:
+        """The answer of ``action`` at the end of ``way``; the position behind it is kept.
+
+        Raises
+        ------
+        BoxDied
+            If the box ends its process, on the way or now.
+        CannotFork
+            If there is no fork on this system, or the box has threads.
+        Exception
+            What the action raises.
+        """
+        if sys.platform != "linux":
+            raise CannotFork("snapshots by fork need Linux")
+        _, pipe = self._nursery = self._nursery or self._start()
+        try:
+            pipe.send((way, action))
+            answer = pickle.loads(pipe.recv_bytes())
+        except (EOFError, ConnectionError):
+            self.close()
+            raise BoxDied("the process that keeps the box's branches is gone") from None
+        return answer.value()
+
+    def close(self) -> None:
+        """End every process; the next action begins anew."""
+        if self._nursery is not None:
+            process, pipe = self._nursery
+            self._nursery = None
+            pipe.close()
+            process.kill()
+            process.wait()
+
+    def __del__(self) -> None:
+        self.close()
+
+    def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
+        pipe, theirs = Pipe()
+        process = subprocess.Popen(
+            [sys.executable, "-c", f"from {__name__} import main; main()", str(theirs.fileno()), str(os.getpid())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, **_ONE_THREAD},
+        )
+        theirs.close()
+        pipe.send(sys.path)
+        pipe.send(self._setting)
+        return process, pipe
+
+
+class _Answer(NamedTuple):
+    content: Any
+
+    def value(self) -> Any:
+        return self.content
+
+
+class _Raised(NamedTuple):
+    error: Exception
+
+    def value(self) -> Any:
+        raise self.error
+
+
+# The nursery
+
+
+class _Keeper(NamedTuple):
+    """A process that waits at a position."""
+
+    pid: int
+    channel: Connection
+
+
+class _Nursery:
+    """All positions by the way to them, the cold start being the empty way."""
+
+    def __init__(self, build: Callable[[], Any], prepare: Callable[[], object] | None, most_kept: int):
+        if prepare is not None:
+            prepare()
+        self._build, self._most = build, most_kept
+        self._kept: OrderedDict[Way, _Keeper] = OrderedDict()
+
+    def act(self, way: Way, action: Action) -> bytes:
+        """The pickled answer of ``action`` at the end of ``way``."""
+        self._go(way)
+        return self._branch(way, action)
+
+    def _go(self, way: Way) -> None:
+        """Have a process wait at the end of ``way``, from the nearest one that is there."""
+        nearest = next(n for n in range(len(way), -1, -1) if n == 0 or way[:n] in self._kept)
+        if nearest == 0 and () not in self._kept:
+            self._begin()
+        for n in range(nearest, len(way)):
+            pickle.loads(self._branch(way[:n], way[n])).value()
+        self._kept.move_to_end(way)
+
+    def _begin(self) -> None:
+        ours, theirs = Pipe()
+        if os.fork() == 0:
+            ours.close()
+            die_with_parent(os.getppid())
+            theirs.send(os.getpid())
+            _keep(_told(theirs, self._build, lambda box: None), theirs)
+        theirs.close()
+        pickle.loads(self._welcome((), ours)).value()
+
+    def _branch(self, way: Way, action: Action) -> bytes:
+        keeper = self._kept[way]
+        ours, theirs = Pipe()
+        try:
+            keeper.channel.send((os.getpid(), action))
+            reduction.send_handle(keeper.channel, theirs.fileno(), keeper.pid)
+        except ConnectionError:
+            del self._kept[way]
+            raise BoxDied(f"the box died: {_ending(keeper.pid)}") from None
+        theirs.close()
+        return self._welcome((*way, action), ours)
+
+    def _welcome(self, way: Way, channel: Connection) -> bytes:
+        """Hear what the newcomer has to say, and keep it if it has an answer."""
+        try:
+            pid = channel.recv()
+        except EOFError:
+            raise BoxDied("the box could not be forked") from None
+        try:
+            stays, said = channel.recv(), channel.recv_bytes()
+        except (EOFError, ConnectionError):
+            raise BoxDied(f"the box died: {_ending(pid)}") from None
+        if stays:
+            self._keep(way, _Keeper(pid, channel))
+        else:
+            _ending(pid)
+        return said
+
+    def _keep(self, way: Way, keeper: _Keeper) -> None:
+        if way in self._kept:
+            self._end(way)
+        self._kept[way] = keeper
+        while len(self._kept) > self._most + 1:  # the cold start stays
+            self._end(next(way for way in self._kept if way))
+
+    def _end(self, way: Way) -> None:
+        keeper = self._kept.pop(way)
+        os.kill(keeper.pid, signal.SIGKILL)
+        os.waitpid(keeper.pid, 0)
+        keeper.channel.close()
+
+
+def _ending(pid: int) -> str:
+    """How a process ended, and its last words: it shares standard error with this one."""
+    _, status = os.waitpid(pid, 0)
+    return how_it_ended(os.waitstatus_to_exitcode(status), Path("/proc/self/fd/2"))
+
+
+def main() -> None:
+    """The nursery's whole life: ``sys.argv`` holds the pipe's descriptor and its parent's process id."""
+    die_with_parent(int(sys.argv[2]))
+    adopt_orphans()
+    pipe = Connection(int(sys.argv[1]))
+    sys.path[:] = pipe.recv()
+    nursery = _Nursery(*pipe.recv())
+    while True:
+        try:
+            way, action = pipe.recv()
+        except EOFError:
+            return
+        try:
+            pipe.send_bytes(nursery.act(way, action))
+        except Exception as error:
+            pipe.send_bytes(_pickled(_Raised(error)))
+
+
+# A box in its process
+
+
+def _keep(box: Any, channel: Connection) -> None:
+    """Wait at a position; whatever is asked is done by a fork, which then waits at its own."""
+    while True:
+        try:
+            nursery, action = channel.recv()
+            descriptor = reduction.recv_handle(channel)
+        except EOFError:
+            os._exit(0)
+        theirs = Connection(descriptor)
+        if _forked(nursery):
+            channel.close()
+            channel = theirs
+            channel.send(os.getpid())
+            _told(channel, lambda: action(box), lambda answer: answer)  # noqa: B023 - called at once
+        else:
+            theirs.close()
+
+
+def _told(channel: Connection, what: Callable[[], T], tell: Callable[[T], Any]) -> T:
+    """Do it and tell whether this process stays, and the answer; one that raises tells that and ends."""
+    try:
+        answer = what()
+        threads = len(os.listdir("/proc/self/task"))
+        if threads > 1:
+            raise CannotFork(f"the box runs {threads - 1} threads of its own: it cannot be forked")
+    except Exception as error:
+        channel.send(False)
+        channel.send_bytes(_pickled(_Raised(error)))
+        os._exit(0)
+    channel.send(True)
+    channel.send_bytes(_pickled(_Answer(tell(answer))))
+    return answer
+
+
+def _forked(nursery: int) -> bool:
+    """Fork, twice: the process in between ends at once, and the nursery adopts the fork."""
+    between = os.fork()
+    if between:
+        os.waitpid(between, 0)
+        return False
+    if os.fork():
+        os._exit(0)
+    while os.getppid() != nursery:
+        time.sleep(1e-5)
+    die_with_parent(nursery)
+    return True
+
+
+def _pickled(answer: _Answer | _Raised) -> bytes:
+    try:
+        return pickle.dumps(answer)
+    except Exception as error:
+        return pickle.dumps(_Raised(RuntimeError(f"an answer that cannot be sent: {error}")))

@@ -1,0 +1,18 @@
+"""Three phases and their space vector: phase peak, no zero sequence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+PHASES = np.exp(-2j * np.pi * np.arange(3) / 3.0)
+"""a, b, c of a space vector x are the real parts of ``x * PHASES``."""
+
+
+def abc_of(x: np.ndarray) -> np.ndarray:
+    """Phase quantities (..., 3) of space vectors (...) complex."""
+    return (np.asarray(x)[..., None] * PHASES).real
+
+
+def vector_of(x_abc: np.ndarray) -> np.ndarray:
+    """Space vectors (...) complex of phase quantities (..., 3); what all three have in common drops out."""
+    return np.asarray(x_abc) @ (2.0 / 3.0 * PHASES.conj())

@@ -1,0 +1,234 @@
+"""A process that holds a plant, and the pipe to it: foreign code never runs in the runner.
+
+A question is a function of the plant, named at module level so that it can be sent; its answer comes
+back over the pipe. A child that dies, overruns its time or sends rubbish raises `ChildFailed`.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from ..plant.endings import die_with_parent, how_it_ended
+from ..plant.protocol import Plant
+from ..plant.registry import PlantCard, PlantError, PlantSpec, card_of
+
+T = TypeVar("T")
+
+START_S = 60.0
+"""Wall time (s) that a child may take to import and build its plant, once."""
+
+SAID_BYTES = 1 << 20
+"""What a plant prints is kept for its last words, and forgotten between two questions above this size."""
+
+_SCRATCH = "seqsweep-run-"
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""A child is one worker; and a process that forks must have no other thread."""
+
+
+class ChildFailed(Exception):
+    """A child died, overran its time or could not answer; the message is the reason of the rows."""
+
+
+class _Trouble(NamedTuple):
+    """What a child says where it has no answer."""
+
+    words: str
+
+
+class Child:
+    """One process with one plant.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+        The plant.
+    folder : path
+        Where the child and its plant may leave temporary files.
+
+    Raises
+    ------
+    ChildFailed
+        If the process ends or hangs while it builds the plant.
+    PlantError
+        If there is no such plant, or it cannot be made from these parameters.
+    """
+
+    card: PlantCard
+
+    def __init__(self, spec: PlantSpec, folder: Path):
+        self._pipe, theirs = Pipe()
+        descriptor, name = tempfile.mkstemp(prefix="said-", dir=folder)
+        os.close(descriptor)
+        self._said = Path(name)
+        with self._said.open("ab") as said:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", f"from {__name__} import main; main()", str(theirs.fileno()), str(os.getpid())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+                env={**os.environ, **_ONE_THREAD, "TMPDIR": str(folder)},
+                process_group=0,
+            )
+        theirs.close()
+        try:
+            answer = self._exchange(spec, START_S, f"building the plant took longer than {START_S:g} s of wall time")
+            if isinstance(answer, _Trouble):
+                raise PlantError(answer.words)
+        except BaseException:
+            self.kill()
+            raise
+        assert isinstance(answer, PlantCard)
+        self.card = answer
+
+    def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
+        """``question(plant)``, answered within ``timeout_s`` (s); ``late`` is the reason where it is not.
+
+        Raises
+        ------
+        ChildFailed
+            If there is no answer. The child is of no further use then, but for its last words.
+        """
+        answer = self._exchange(question, timeout_s, late)
+        if isinstance(answer, _Trouble):
+            raise ChildFailed(answer.words)
+        return answer  # type: ignore[return-value]
+
+    def kill(self) -> None:
+        """End the process and whatever it has started in its process group."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._pipe.close()
+        self._said.unlink(missing_ok=True)
+
+    def _exchange(self, question: object, timeout_s: float, late: str) -> object:
+        try:
+            self._pipe.send(question)
+            if not self._pipe.poll(timeout_s):
+                raise ChildFailed(late)
+            return self._pipe.recv()
+        except (EOFError, ConnectionError):
+            raise ChildFailed(f"the plant's process died: {self._death()}") from None
+        except (pickle.PickleError, AttributeError, ImportError, IndexError, TypeError, ValueError) as error:
+            raise ChildFailed(f"the plant's process sent rubbish: {type(error).__name__}: {error}") from None
+
+    def _death(self) -> str:
+        try:
+            code = self._process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            return "it closed its pipe"
+        return how_it_ended(code, self._said)
+
+
+@contextmanager
+def child(spec: PlantSpec) -> Iterator[Child]:
+    """A child for a moment, with a folder of its own."""
+    with scratch() as folder:
+        one = Child(spec, folder)
+        try:
+            yield one
+        finally:
+            one.kill()
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder for the temporary files of one run; what runs that were killed have left is removed first."""
+    _sweep_up()
+    with (
+        tempfile.TemporaryDirectory(prefix=_SCRATCH, ignore_cleanup_errors=True) as name,
+        (Path(name) / "lock").open("w") as lock,
+    ):
+        _locked(lock.fileno())
+        yield Path(name)
+
+
+def _sweep_up() -> None:
+    """Folders whose owner is gone hold a lock that nobody has."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime > 60.0 and _abandoned(folder / "lock"):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _abandoned(lock: Path) -> bool:
+    if not lock.exists():
+        return True
+    with lock.open("r+") as file:
+        return _locked(file.fileno())
+
+
+def _locked(descriptor: int) -> bool:
+    """Lock an open file for as long as it is open; False if somebody else has it."""
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+# In the child
+
+
+def _serve(pipe: Connection) -> None:
+    """Build the plant, show its card, then answer question after question until the pipe closes."""
+    spec: PlantSpec = pipe.recv()
+    try:
+        plant = spec.make()
+        pipe.send(card_of(plant, spec))
+    except Exception as error:
+        pipe.send(_Trouble(_in_words(error)))
+        return
+    while True:
+        try:
+            question = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(_answer(plant, question))
+        _forget_what_was_said()
+
+
+def _answer(plant: Plant, question: Callable[[Plant], object]) -> object:
+    try:
+        return question(plant)
+    except Exception as error:
+        return _Trouble(_in_words(error))
+
+
+def _in_words(error: Exception) -> str:
+    """What a wrong call raises says enough; anything else is told by its class, too."""
+    text = " ".join(str(error).split())
+    return (text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}".rstrip(": "))[:300]
+
+
+def _forget_what_was_said() -> None:
+    if os.fstat(1).st_size > SAID_BYTES:
+        os.ftruncate(1, 0)
+
+
+def _offer_to_the_memory_killer() -> None:
+    """Where memory runs out, a plant that leaks goes before anything else."""
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+def main() -> None:
+    """The child's whole life: ``sys.argv`` holds the pipe's descriptor and the runner's process id."""
+    die_with_parent(int(sys.argv[2]))
+    _offer_to_the_memory_killer()
+    _serve(Connection(int(sys.argv[1])))

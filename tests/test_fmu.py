@@ -1,0 +1,285 @@
+"""FMUs of our own: as the device they hold, in every kind of snapshot; bad ones; and archives that lie in wait."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.table import read_table
+from seqsweep.plant import fmu_archive
+from seqsweep.plant.check import check_plant
+from seqsweep.plant.fmu import fmu_plant
+from seqsweep.plant.fmu_archive import ArchiveError, look_through, unpack
+from seqsweep.plant.fmu_instance import FmuFault
+from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
+
+from . import step_plants
+from .commands import campaign, ended
+from .fmus import PARAMETERS, description, fmu
+from .sweeps import swept
+
+POINT = OperatingPoint(0.4e6, 690.0)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A function from defines to the FMU that was built with them."""
+    folder = tmp_path_factory.mktemp("fmus")
+
+    def build(*defines):
+        return fmu(folder, *defines, name=f"{'-'.join(defines) or 'plain'}.fmu")
+
+    return build
+
+
+def toml(**parameters):
+    """[plant.parameters] of a campaign."""
+    lines = [f"{key} = {written(value)}" for key, value in {**PARAMETERS, **parameters}.items()]
+    return "\n".join(["[plant.parameters]", *lines])
+
+
+def written(value):
+    """A value as TOML writes it."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {written(inner)}' for key, inner in value.items())} }}"
+    return json.dumps(value)
+
+
+def failed(plant):
+    return {finding.name for finding in check_plant(plant) if not finding.passed}
+
+
+# The device
+
+
+@pytest.mark.parametrize(
+    ("defines", "snapshot"), [(["STATE"], "auto"), (["STATE"], "fork"), ([], "cold"), (["HIDDEN"], "auto")]
+)
+def test_an_fmu_keeps_the_promise_of_a_plant_however_it_is_branched(built, defines, snapshot):
+    assert failed(fmu_plant(str(built(*defines)), **PARAMETERS, snapshot=snapshot)) == set()
+
+
+def test_hidden_statics_are_no_matter_for_a_fork_and_found_out_without_it(built):
+    """Two instances in one process share the statics: the check sees it."""
+    assert failed(fmu_plant(str(built("HIDDEN")), **PARAMETERS, snapshot="cold")) & {"repeatable", "neighbours"}
+
+
+TWO_PHASES = {"voltage": ["v_alpha", "v_beta"], "current": ["i_alpha", "i_beta"]}
+
+
+@pytest.mark.parametrize(
+    ("defines", "twin", "change"),
+    [
+        (["STATE"], step_plants.branch, {}),
+        ([], step_plants.branch, {}),
+        (["STATE"], step_plants.branch, TWO_PHASES),
+        (["CONVERTER", "STATE"], step_plants.converter, {}),
+        (["CONVERTER"], step_plants.converter, {"current": TWO_PHASES["current"]}),
+    ],
+)
+def test_an_fmu_gives_the_samples_of_its_twin_in_python(built, defines, twin, change):
+    """Another text of the same device; rounding is all that differs, through a settled controller."""
+    plants = [fmu_plant(str(built(*defines)), **{**PARAMETERS, **change}), twin()]
+    tone = Injection("series_voltage", (Tone(-70.0, 5.0, 0.2),))
+    records = [plant.run([Job(plant.settle(POINT, Source()), tone)], 900)[0][1] for plant in plants]
+    assert records[0].t0_s == records[1].t0_s  # both took as long to settle
+    assert np.max(np.abs(records[0].i - records[1].i)) <= 1e-8 * np.max(np.abs(records[1].i))
+
+
+def test_units_and_direction_are_those_of_the_campaign(built):
+    path = str(built("STATE"))
+    plain = fmu_plant(path, **PARAMETERS)
+    turned = fmu_plant(path, **PARAMETERS, current_direction="generator", voltage_unit_v=2.0, current_unit_a=10.0)
+    i, other = (p.run([Job(p.settle(POINT, Source()), None)], 400)[0][1].i for p in (plain, turned))
+    assert np.max(np.abs(other + 5.0 * i)) <= 1e-6 * np.max(np.abs(i))
+
+
+def test_the_sweep_of_an_fmu_is_that_of_its_twin(built):
+    f_hz = [20.0, 130.0, 400.0]
+    y = [
+        swept(plant, f_hz)
+        for plant in (
+            step_plants.converter(),
+            fmu_plant(str(built("CONVERTER", "STATE")), **PARAMETERS),
+            fmu_plant(str(built("CONVERTER")), **PARAMETERS),
+        )
+    ]
+    for found in y[1:]:
+        assert np.max(np.abs(found - y[0])) <= 1e-6 * np.max(np.abs(y[0]))  # rounding under a small tone
+    assert np.max(np.abs(y[0][:, 0, 1])) > 1e-3 * np.max(np.abs(y[0]))  # and it couples
+
+
+@pytest.mark.parametrize("snapshot", ["state", "fork", "cold"])
+def test_a_fatal_answer_costs_an_instance_and_the_next_point_gets_another(built, snapshot):
+    start = {"start": {"fault": -1.0, "after_s": 0.1}, "snapshot": snapshot}
+    plant = fmu_plant(str(built("STATE")), **PARAMETERS, **start)
+    for _ in range(2):
+        with pytest.raises(FmuFault, match=r"fmi2DoStep answered fatal at 0\.1"):
+            plant.settle(OperatingPoint(9e6, 690.0), Source())
+        assert plant.settle(OperatingPoint(0.0, 690.0), Source()).step > 2000
+
+
+def test_the_table_remembers_which_file_it_was(built):
+    plant = fmu_plant(str(built("STATE")), **PARAMETERS)
+    assert plant.contents == {"file_sha256": fmu_archive.sha256_of(built("STATE")), "model": "box 3"}
+
+
+# Bad boxes
+
+FAULTS = {  # in the order of the enum in box_fmu.c: (status, words)
+    "errs": ("failed", "fmi2DoStep answered error at 2 s; it says: theta left the circle"),
+    "prints": ("ok", ""),
+    "sleeps": ("failed", "4 shots took longer than 12 s of wall time"),
+    "leaks": ("ok", ""),
+    "nans": ("diverged", "the response is not finite"),
+    "aborts": ("failed", "died: SIGABRT, last words 'assertion failed: theta < 2 pi'"),
+    "segfaults": ("failed", "died: SIGSEGV"),
+    "discards": ("failed", "fmi2DoStep answered discard at 2 s"),
+}
+
+
+@pytest.mark.parametrize("defines", [["STATE"], []], ids=["state", "fork"])
+def test_every_bad_box_costs_its_own_points_with_the_reason(tmp_path, built, defines):
+    """It goes wrong 2 s after its start, differently at each operating point: the window near f1 meets that."""
+    lines = "timeout_s = 3.0\n" + toml(start={"fault": -1.0, "after_s": 1.99999})
+    path = campaign(tmp_path, plant=f"fmu:{built(*defines)}", plant_lines=lines, powers=range(len(FAULTS) + 1))
+    path.write_text(path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", "f_hz = [49.0, 300.0]"))
+    status, said = ended("run", path, "-o", tmp_path / "y.parquet", env=_environment(tmp_path))
+    assert status == 1, said
+    assert "Traceback" not in said
+    well, *ill = read_table(tmp_path / "y.parquet").responses
+    assert well.status.tolist() == ["ok", "ok"], well.reason
+    assert np.max(np.abs(well.y[:, 0, 0] / step_plants.admittance(well.f_hz) - 1.0)) <= 1e-4
+    for (fault, (status, words)), response in zip(FAULTS.items(), ill, strict=True):
+        assert response.status.tolist() == [status, "ok"], (fault, response.reason)
+        assert words in response.reason[0]
+    assert list((tmp_path / "temporary").iterdir()) == []  # what was unpacked went with the run
+
+
+def _environment(tmp_path):
+    (tmp_path / "temporary").mkdir()
+    return {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
+
+
+# What the campaign says, against the FMU
+
+WRONG = {
+    "unknown": ({"voltage": ["v_a", "v_b", "vc"]}, r"voltage: .* has no variable 'vc' \(did you mean 'v_c'\?\)"),
+    "output for input": (
+        {"voltage": ["v_a", "v_b", "i_c"]},
+        "voltage: variable 'i_c' .* is an output; needed: an input",
+    ),
+    "input for output": (
+        {"current": ["v_a", "i_b", "i_c"]},
+        "current: variable 'v_a' .* is an input; needed: an output",
+    ),
+    "four phases": ({"current": ["i_a"] * 4}, "current is .*; needed: the names of two variables"),
+    "unknown start": ({"start": {"k_pl": 1.0}}, r"start: .* has no variable 'k_pl' \(did you mean 'k_pll'\?\)"),
+    "start of an output": ({"start": {"i_a": 1.0}}, "start: variable 'i_a' .* cannot be set at the start"),
+    "text for a number": ({"start": {"k_pll": "much"}}, "start: variable 'k_pll' is a Real; given 'much'"),
+    "power": ({"active_power": "power"}, "active_power: .* has no variable 'power'"),
+    "direction": ({"current_direction": "out"}, "current_direction is 'out'; needed: load, generator"),
+    "step": ({"dt_s": 0.0}, "dt_s is 0; needed"),
+    "snapshot": ({"snapshot": "state"}, "cannot get and set its state"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_variable_is_refused_by_name_before_anything_runs(built, case):
+    change, words = WRONG[case]
+    with pytest.raises(ValueError, match=words):
+        fmu_plant(str(built()), **{**PARAMETERS, **change})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (description(interface="ModelExchange"), "FMI 2.0, modelExchange; needed: FMI 2.0 for co-simulation"),
+        (description(version="3.0"), "its model description is refused"),
+        (description(needsExecutionTool="true"), "needs the tool it comes from, running"),
+        (description(), r"it has binaries for no platform, this machine is linux64; .* process:COMMAND"),
+        ("<fmi", "its model description is refused"),
+        (description().replace('name="p_w"', 'name="v_a"'), "its model description is refused"),
+    ],
+)
+def test_an_fmu_that_cannot_be_driven_says_why(tmp_path, text, words):
+    pytest.importorskip("fmpy")
+    with zipfile.ZipFile(tmp_path / "box.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+    with pytest.raises(ValueError, match=words):
+        fmu_plant(str(tmp_path / "box.fmu"), **PARAMETERS)
+
+
+# Archives
+
+
+def archive_with(path, name, content=b"", mode=stat.S_IFREG | 0o644):
+    """An archive with one member."""
+    info = zipfile.ZipInfo("placeholder")
+    info.filename = info.orig_filename = name
+    info.external_attr = mode << 16
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(info, content, zipfile.ZIP_DEFLATED)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "words"),
+    [
+        ("../outside", stat.S_IFREG, "leads out of the folder"),
+        ("resources/../../outside", stat.S_IFREG, "leads out of the folder"),
+        ("/etc/outside", stat.S_IFREG, "leads out of the folder"),
+        ("C:/outside", stat.S_IFREG, "leads out of the folder"),
+        ("..\\outside", stat.S_IFREG, "leads out of the folder"),
+        ("binaries/linux64/box.so", stat.S_IFLNK, "is a link"),
+        ("resources/pipe", stat.S_IFIFO, "is a special file"),
+    ],
+)
+def test_a_member_that_leads_elsewhere_is_refused_and_nothing_is_unpacked(tmp_path, name, mode, words):
+    path = archive_with(tmp_path / "box.fmu", name, b"/etc/passwd", mode | 0o777)
+    (tmp_path / "inside").mkdir()
+    with pytest.raises(ArchiveError, match=words):
+        unpack(path, tmp_path / "inside")
+    assert sorted(file.name for file in tmp_path.rglob("*")) == ["box.fmu", "inside"]
+
+
+def test_a_bomb_is_refused_before_it_goes_off(tmp_path, monkeypatch):
+    path = archive_with(tmp_path / "bomb.fmu", "resources/zeros", bytes(32 << 20))
+    with pytest.raises(ArchiveError, match=r"unpacks to \d+ times its size; it looks like a bomb"):
+        look_through(path)
+    monkeypatch.setattr(fmu_archive, "MOST_BYTES", 1 << 20)
+    with pytest.raises(ArchiveError, match="unpacks to 33554432 bytes"):
+        look_through(path)
+    monkeypatch.setattr(fmu_archive, "MOST_MEMBERS", 0)
+    with pytest.raises(ArchiveError, match="1 members"):
+        look_through(path)
+
+
+def test_a_member_that_is_there_twice_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "box.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", "one")
+        archive.writestr("ModelDescription.xml", "other")
+    with pytest.raises(ArchiveError, match="is there twice"):
+        look_through(tmp_path / "box.fmu")
+
+
+def test_what_is_no_archive_is_refused(tmp_path):
+    (tmp_path / "text.fmu").write_text("not a zip")
+    with pytest.raises(ArchiveError, match="not an FMU"):
+        look_through(tmp_path / "text.fmu")
+    with pytest.raises(ArchiveError, match="no such file"):
+        look_through(Path("nowhere.fmu"))
+
+
+def test_a_damaged_archive_is_refused(tmp_path, built):
+    whole = bytearray(built("STATE").read_bytes())
+    whole[len(whole) // 2] ^= 0xFF
+    (tmp_path / "damaged.fmu").write_bytes(whole)
+    with pytest.raises(ArchiveError, match="cannot be unpacked"):
+        unpack(tmp_path / "damaged.fmu", tmp_path / "inside")

@@ -1,0 +1,178 @@
+"""A fork as a snapshot: branches of a box with hidden statics, told from each other; crashes cost one branch."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from seqsweep.plant.forked import BoxDied, CannotFork, Forks
+
+from .commands import wait_for
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="snapshots by fork need Linux")
+
+_hidden = [0]  # a static, as a C library may have
+
+
+class Counter:
+    """A box with state where nobody can reach it."""
+
+    def __init__(self):
+        self.seen = []
+
+
+@dataclass(frozen=True)
+class Add:
+    """Add to the hidden static; the answer is all that was ever added, and by whom."""
+
+    number: int
+
+    def __call__(self, box):
+        _hidden[0] += self.number
+        box.seen.append(self.number)
+        return _hidden[0], tuple(box.seen), os.getpid()
+
+
+@dataclass(frozen=True)
+class Dies:
+    number: int
+
+    def __call__(self, box):
+        os.write(2, b"assertion failed: theta < 2 pi\n")
+        os.kill(os.getpid(), self.number)
+
+
+@dataclass(frozen=True)
+class Raises:
+    def __call__(self, box):
+        raise ValueError("no such port")
+
+
+@dataclass(frozen=True)
+class StartsAThread:
+    def __call__(self, box):
+        threading.Thread(target=time.sleep, args=(60.0,), daemon=True).start()
+
+
+@dataclass(frozen=True)
+class Sleeps:
+    told: str
+
+    def __call__(self, box):
+        with open(self.told, "a") as file:
+            file.write(f" {os.getpid()}")
+        time.sleep(60.0)
+
+
+def unwilling():
+    raise FileNotFoundError("no library")
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def forks(monkeypatch):
+    kept = Forks(Counter, most_kept=4)
+    yield kept
+    kept.close()
+
+
+def test_branches_share_the_way_and_not_what_comes_after(forks):
+    settled = (Add(1), Add(10))
+    assert forks.act((), Add(1))[:2] == (1, (1,))
+    assert forks.act((Add(1),), Add(10))[:2] == (11, (1, 10))
+    for number in (100, 200, 300):
+        assert forks.act(settled, Add(number))[:2] == (11 + number, (1, 10, number))
+    assert forks.act((*settled, Add(200)), Add(5))[:2] == (216, (1, 10, 200, 5))
+    assert _hidden == [0]  # nothing of it happened here
+
+
+def test_the_same_job_again_is_answered_by_another_process_and_alike(forks):
+    first, second = (forks.act((Add(1),), Add(2)) for _ in range(2))
+    assert first[:2] == second[:2]
+    assert first[2] != second[2]
+    assert os.getpid() not in (first[2], second[2])
+
+
+def test_a_position_that_was_let_go_is_reached_again_from_the_nearest_one(forks):
+    way = tuple(Add(k) for k in range(1, 9))  # eight positions, of which four are kept
+    pids = [forks.act(way[:k], way[k])[2] for k in range(8)]
+    wait_for(lambda: sum(alive(pid) for pid in pids) == 4, 5.0)
+    assert forks.act(way[:1], Add(100))[:2] == (101, (1, 100))
+    assert forks.act(way, Add(100))[:2] == (136, (*range(1, 9), 100))
+
+
+def test_a_crash_costs_its_branch_alone(forks):
+    assert forks.act((), Add(1))[0] == 1
+    with pytest.raises(BoxDied, match=r"^the box died: SIGSEGV"):
+        forks.act((Add(1),), Dies(signal.SIGSEGV))
+    assert forks.act((Add(1),), Add(2))[0] == 3
+    with pytest.raises(BoxDied, match="SIGABRT"):
+        forks.act((Add(1), Dies(signal.SIGABRT)), Add(2))  # on the way
+    assert forks.act((Add(1), Add(2)), Add(3))[0] == 6
+
+
+def test_what_an_action_raises_arrives_and_leaves_the_position_as_it_was(forks):
+    with pytest.raises(ValueError, match=r"^no such port$"):
+        forks.act((Add(1),), Raises())
+    assert forks.act((Add(1),), Add(2))[0] == 3
+
+
+def test_a_box_that_cannot_be_built_says_why():
+    forks = Forks(unwilling)
+    for _ in range(2):
+        with pytest.raises(FileNotFoundError, match="no library"):
+            forks.act((), Add(1))
+    forks.close()
+
+
+def test_a_box_with_threads_is_not_forked(forks):
+    with pytest.raises(CannotFork, match="runs 1 threads of its own"):
+        forks.act((), StartsAThread())
+    assert forks.act((), Add(1))[0] == 1
+
+
+def test_no_process_is_left_behind(forks):
+    pids = [forks.act((Add(1),), Add(k))[2] for k in range(3)]
+    assert all(alive(pid) for pid in pids)
+    forks.close()
+    wait_for(lambda: not any(alive(pid) for pid in pids), 5.0)
+    assert forks.act((Add(1),), Add(5))[0] == 6  # and it begins anew when asked
+
+
+def test_a_branch_that_hangs_goes_with_the_process_that_asked(tmp_path):
+    """The asker is killed while a fork sleeps: nursery and forks follow, whatever they are at."""
+    told = tmp_path / "pids"
+    asker = os.fork()
+    if asker == 0:
+        forks = Forks(Counter)
+        told.write_text(f"{forks.act((), Add(1))[2]} {forks._nursery[0].pid}")
+        forks.act((Add(1),), Sleeps(str(told)))
+        os._exit(0)
+    wait_for(lambda: told.exists() and len(told.read_text().split()) == 3)
+    pids = [int(pid) for pid in told.read_text().split()]
+    assert all(alive(pid) for pid in pids)
+    os.kill(asker, signal.SIGKILL)
+    os.waitpid(asker, 0)
+    wait_for(lambda: not any(alive(pid) for pid in pids), 5.0)
+
+
+def test_a_fork_costs_milliseconds(forks):
+    forks.act((), Add(1))
+    begin = time.perf_counter()
+    for k in range(20):
+        forks.act((Add(1),), Add(k))
+    per_fork_s = (time.perf_counter() - begin) / 20
+    print(f"\n  {per_fork_s * 1e3:.1f} ms a fork", end="")
+    assert per_fork_s < 0.2  # a bare process; ten times what it takes on a busy machine
