@@ -56,3 +56,12 @@ def test_the_grid_is_found_in_a_noisy_second(tmp_path: Path) -> None:
         assert abs(float(found) - float(true)) < 4.0 * float(std)
     assert "an R-L branch: True" in said
     assert picture.stat().st_size > 10_000
+
+
+def test_the_adaptive_points_are_drawn(tmp_path: Path) -> None:
+    said = output_of(sys.executable, str(EXAMPLES / "adaptive_points.py"), "a.png", cwd=tmp_path)
+    found = re.search(r"(\d+) points, certified to (\S+); largest difference (\S+)$", said.strip())
+    assert found, said
+    assert int(found[1]) <= 30
+    assert float(found[3]) <= float(found[2]) <= 1e-3
+    assert (tmp_path / "a.png").stat().st_size > 10_000
