@@ -358,21 +358,6 @@ def test_what_is_not_certified_ends_with_a_remark_and_ok_rows(tmp_path):
     assert "not certified" in summary(path)
 
 
-def test_noisy_windows_make_a_modest_certificate(tmp_path):
-    """Noise of the current shows in the disagreement of the windows, and from there in what is asked."""
-    plant = ResonantBank(0.05, TEN_HZ[2:4], noise=2e-5)
-    path, outcome = swept(tmp_path, plant, f_min_hz=5.0, points=40, tolerance=2e-2)
-    (response,) = read_table(path).responses
-    entry = response.meta["interpolation"]
-    f_hz = dense()[dense() >= 5.0]
-    error = distance(interpolate(response, f_hz), plant.admittance(f_hz))
-    print(f"\n  noise {entry['noise']:.1e}: {outcome.remarks[0]}; true {error:.1e}", end="")
-    assert set(outcome.statuses) == {"ok"}
-    assert entry["certified"]
-    assert entry["noise"] > 1e-4
-    assert error <= max(entry["error"], entry["tolerance"])
-
-
 @pytest.mark.evidence
 def test_ten_resonances_through_the_real_sweep(tmp_path):
     plant = ResonantBank(0.01)
