@@ -256,7 +256,7 @@ def surrogate_of(response: FrequencyResponse, before: Surrogate | None = None) -
 
 def _distinct(data: DqData) -> DqData:
     """Rows that mirror each other as one: the first."""
-    first = np.append(True, np.diff(data.nu_hz) > 1e-6)
+    first = np.diff(data.nu_hz, prepend=-np.inf) > 1e-6
     return DqData(data.nu_hz[first], data.y[first], None if data.std is None else data.std[first])
 
 

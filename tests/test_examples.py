@@ -79,3 +79,12 @@ def test_the_page_shows_the_step_function_as_it_is() -> None:
     example = (EXAMPLES / "step_plant.py").read_text("utf-8")
     code = example[example.index("from seqsweep") :].replace("\n\n\n", "\n\n").strip()
     assert code in page.replace("\n    ", "\n")
+
+
+def test_the_adaptive_points_are_drawn(tmp_path: Path) -> None:
+    said = output_of(sys.executable, str(EXAMPLES / "adaptive_points.py"), "a.png", cwd=tmp_path)
+    found = re.search(r"(\d+) points, certified to (\S+); largest difference (\S+)$", said.strip())
+    assert found, said
+    assert int(found[1]) <= 30
+    assert float(found[3]) <= float(found[2]) <= 1e-3
+    assert (tmp_path / "a.png").stat().st_size > 10_000
