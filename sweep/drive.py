@@ -58,10 +58,9 @@ def drive(plant: Plant, plan: Plan, baseline: Baseline, shots: Sequence[Shot]) -
         for k, (state, phasors) in zip(pending, answers, strict=True):
             states[k] = state
             heard[k].append(phasors)
-            result = _settled(plan, baseline, shots[k], heard[k])
-            if result is not None and (
-                result.agreed or not isfinite(result.residual) or done >= _limit_blocks(plan, baseline, shots[k])
-            ):
+            over = done >= _limit_blocks(plan, baseline, shots[k])
+            result = _settled(plan, baseline, shots[k], heard[k], over)
+            if result is not None and (over or result.agreed or not isfinite(result.residual)):
                 results[k] = result
     return [results[k] for k in range(len(shots))]
 
@@ -82,14 +81,24 @@ def _limit_blocks(plan: Plan, baseline: Baseline, shot: Shot) -> int:
     return max(_first_windows(baseline), whole) * shot.window_blocks
 
 
-def _settled(plan: Plan, baseline: Baseline, shot: Shot, heard: list[Phasors]) -> Settled | None:
-    """The judgement of the windows heard so far, at most those the limit allows."""
+def _settled(plan: Plan, baseline: Baseline, shot: Shot, heard: list[Phasors], over: bool) -> Settled | None:
+    """The judgement of the windows heard so far, at most those the limit allows.
+
+    A shot of a quiet device that found no agreement in all its time may have been noisy: the perturbation itself can
+    set a limit cycle going.
+    """
     most = _limit_blocks(plan, baseline, shot)
     joined = Phasors(np.concatenate([p.v for p in heard])[:most], np.concatenate([p.i for p in heard])[:most])
     v, i = windows(joined, shot.window_blocks)
     if len(v) < _first_windows(baseline):
         return None
-    return steady_mean(v, i, plan.uncertainty) if baseline.noisy else first_agreement(v, i, plan.tolerance)
+    if baseline.noisy:
+        return steady_mean(v, i, plan.uncertainty)
+    found = first_agreement(v, i, plan.tolerance)
+    if found.agreed or not over or len(v) <= NOISY_WINDOWS or not isfinite(found.residual):
+        return found
+    noisy = steady_mean(v, i, plan.uncertainty)
+    return noisy if noisy.at_rest else found
 
 
 # Listening

@@ -78,11 +78,18 @@ def _measured(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Ro
     settled = iter(drive(plant, plan, base, [shot for of_point in shots for shot in of_point]))
     rows = []
     for point, of_point in zip(batch.points, shots, strict=True):
-        row, *probes = [_row(plan, point, (next(settled), next(settled)), base, plant) for _ in of_point[::2]]
+        pairs = [(next(settled), next(settled)) for _ in of_point[::2]]
+        row, *probes = [_row(plan, point, pair, base, plant) for pair in pairs]
+        noisy = any(_is_noisy(shot) for pair in pairs for shot in pair)
         for probe in probes:
-            row = compared(row, probe, _noise(row, probe) if base.noisy else 0.0)
+            row = compared(row, probe, _noise(row, probe) if noisy else 0.0)
         rows.append(row)
     return rows
+
+
+def _is_noisy(shot: Settled) -> bool:
+    """Whether a shot was averaged over windows, and not ended by the agreement of two."""
+    return len(shot.v) > 1
 
 
 def _noise(*rows: Row) -> float:
@@ -119,16 +126,26 @@ def _covariance(
     """Covariance (8, 8) of Y (S^2): of the windows' scatter, or, on a quiet device, of the agreement asked.
 
     Windows that agree within the tolerance leave an error of that size: a rectangular distribution, whose standard
-    deviation is its half-width over sqrt(3).
+    deviation is its half-width over sqrt(3), shared by the two components.
     """
-    if not base.noisy:
-        each = np.linalg.norm(i, axis=1) * plan.tolerance / np.sqrt(3.0)
-        return propagate(v, 0.5 * each[:, None, None] ** 2 * np.eye(2), base.phi1)
-    n = min(len(s.v) for s in pair)
-    windows_v, windows_i = (np.array([x[-n:] for x in of]) for of in ([s.v for s in pair], [s.i for s in pair]))
-    noise, freedom = scatter(y, windows_v, windows_i, base.phi1)
-    shared = _baseline_noise(plan, point, base, y)
-    return student_factor(freedom) * propagate(v, noise / n, base.phi1) + propagate_common(v, shared, base.phi1)
+    shared = propagate_common(v, _baseline_noise(plan, point, base, y), base.phi1)
+    if all(_is_noisy(shot) for shot in pair):
+        n = min(len(shot.v) for shot in pair)
+        noise = _scatter_of_mean(y, np.array([s.v[-n:] for s in pair]), np.array([s.i[-n:] for s in pair]), base)
+        return propagate(v, noise, base.phi1) + shared
+    each = [
+        _scatter_of_mean(y, shot.v[None], shot.i[None], base)
+        if _is_noisy(shot)
+        else (np.linalg.norm(shot.i) * plan.tolerance) ** 2 / 6.0 * np.eye(2)
+        for shot in pair
+    ]
+    return propagate(v, np.array(each), base.phi1) + shared
+
+
+def _scatter_of_mean(y: np.ndarray, v: np.ndarray, i: np.ndarray, base: Baseline) -> np.ndarray:
+    """E[e e^H] (2, 2) of the mean of windows (experiments, windows, 2), widened (A^2)."""
+    noise, freedom = scatter(y, v, i, base.phi1)
+    return student_factor(freedom) * noise / v.shape[1]
 
 
 def _baseline_noise(plan: Plan, point: Frequency, base: Baseline, y: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from seqsweep.plant.branch import RLBranch, admittance
 from seqsweep.sweep.linearity import compared, judged
 
 from . import plants
+from .resonances import ResonantBank
 from .sweeps import errors, inside, planned, rows_of
 
 F_HZ = [20.0, 70.0, 100.0, 130.0, 300.0]  # 100 and 300 Hz are harmonics of f1: the baseline's own noise counts there
@@ -153,3 +154,13 @@ def test_a_shot_that_moves_on_is_not_at_rest():
     rng = np.random.default_rng(2)
     x = 1.0 + 0.01 * rng.normal(size=(20, 2, 2)) @ [1.0, 1j] + 0.05 * np.arange(20)[:, None]
     assert not steady_mean(np.ones((20, 2)), x, 0.1).at_rest
+
+
+def test_noise_that_only_the_perturbation_wakes_is_told_in_the_end():
+    """Unperturbed this bank is quiet: its shots find no agreement, and are averaged when their time is over."""
+    plant = ResonantBank(0.01, (110.0, 480.0), noise=2e-5)
+    sweep = {"uncertainty": 0.05, "max_simulated_s": 8.0, "probes": 0}
+    rows = rows_of(plant, planned(plant, f_hz=[20.0, 70.0, 130.0, 250.0], sweep=sweep))
+    assert {row.status for row in rows} == {"ok"}
+    assert errors(rows, plant.admittance(np.array([row.f_hz for row in rows]))).max() <= 0.02
+    assert inside(rows, plant.admittance(np.array([row.f_hz for row in rows])), 0.999).all()
