@@ -140,6 +140,21 @@ def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndar
     return np.concatenate([*by_pole, coefficients.reshape(len(s), -1)], axis=1)
 
 
+def shifted(model: RationalModel, change: np.ndarray) -> RationalModel:
+    """The model with its real parameters, in the order of `gradient`, moved by ``change`` (k,); ranks are not kept."""
+    n_real, n_pair = _counts(model.poles)
+    m = n_real + 2 * n_pair
+    upper = _pairs_joined(change[:m], n_real, n_pair)
+    residues, d, e = _parts(n_real, n_pair, model.tail, change[m:].reshape(ELEMENTS, -1))
+    return replace(
+        model,
+        poles=model.poles + np.concatenate([upper, upper[n_real:].conj()]),
+        residues=model.residues + residues,
+        d=model.d + d,
+        e=model.e + e,
+    )
+
+
 def fit_response(
     response: FrequencyResponse,
     *,
@@ -573,8 +588,13 @@ def _refine(problem: _Problem, trial: _Trial, n_iterations: int = 10) -> _Trial:
 
 def _moved(poles: np.ndarray, step: np.ndarray) -> np.ndarray:
     n_real, n_pair = _counts_upper(poles)
-    moved = poles + np.concatenate([step[:n_real], step[n_real : n_real + n_pair] + 1j * step[n_real + n_pair :]])
+    moved = poles + _pairs_joined(step, n_real, n_pair)
     return _separated(np.where(poles.imag == 0.0, moved.real + 0j, moved))
+
+
+def _pairs_joined(step: np.ndarray, n_real: int, n_pair: int) -> np.ndarray:
+    """Real parameters of poles as complex numbers: the real ones, then the upper halves of the pairs."""
+    return np.concatenate([step[:n_real], step[n_real : n_real + n_pair] + 1j * step[n_real + n_pair :]])
 
 
 def _separated(poles: np.ndarray) -> np.ndarray:
@@ -614,9 +634,9 @@ def _model(
     problem: _Problem, f1_hz: float, trial: _Trial, notes: tuple[str, ...], whole_ranks: bool = False
 ) -> RationalModel:
     linear = _linear(problem, trial.poles, trial.tail)
-    cut = _uncut(trial, linear) if whole_ranks else _cut_ranks(problem, trial, linear)
-    residues, d, e = _parts(trial, cut.coefficients)
+    cut = _cut_ranks(problem, trial, linear)
     n_real, n_pair = _counts_upper(trial.poles)
+    residues, d, e = _parts(n_real, n_pair, trial.tail, cut.coefficients)
     m = n_real + 2 * n_pair
     root = _covariance_root(problem, trial, linear)
     root[m:] = cut.kept @ root[m:]
@@ -642,14 +662,13 @@ def _model(
     return _with_sign_notes(model)
 
 
-def _parts(trial: _Trial, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _parts(n_real: int, n_pair: int, tail: int, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residues (m, 2, 2), D and E (2, 2) from the coefficients (4, c)."""
-    n_real, n_pair = _counts_upper(trial.poles)
     m = n_real + 2 * n_pair
     x = coefficients.T.reshape(-1, 2, 2)
     pair = x[n_real : n_real + n_pair] + 1j * x[n_real + n_pair : m]
-    tail = np.concatenate([x[m:], np.zeros((2 - trial.tail, 2, 2))])
-    return np.concatenate([x[:n_real].astype(complex), pair, pair.conj()]), tail[0], tail[1]
+    ends = np.concatenate([x[m:], np.zeros((2 - tail, 2, 2))])
+    return np.concatenate([x[:n_real].astype(complex), pair, pair.conj()]), ends[0], ends[1]
 
 
 def _variance(problem: _Problem, trial: _Trial, linear: _Linear) -> float:
@@ -765,7 +784,7 @@ def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:
 def _second_direction(trial: _Trial, coefficients: np.ndarray, k: int) -> np.ndarray:
     """Rows (1 or 2, 4c) that read Re and Im of the second singular direction of residue k."""
     n_real, n_pair = _counts_upper(trial.poles)
-    u, _, vh = np.linalg.svd(_parts(trial, coefficients)[0][k])
+    u, _, vh = np.linalg.svd(_parts(n_real, n_pair, trial.tail, coefficients)[0][k])
     direction = np.kron(u[:, 1].conj(), vh[1].conj())
     rows = np.zeros((1 if k < n_real else 2, *coefficients.shape))
     rows[0, :, k] = direction.real

@@ -1,0 +1,144 @@
+"""How far margin and critical scale may be off: 95 % intervals from the covariance of the fit.
+
+Both are ``-1/q`` where a loop gain q, moving along frequency, is real and negative: Y1 Zg1 for m, an eigenvalue of Y Z
+for the critical scale. When the parameters move, q moves and so does the frequency at which it is real (delta method).
+The same is done at the two ends of the interval without linearising; where that does not agree, as near a fold of the
+crossing, the fitted model is drawn at random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.fit import RationalModel, evaluate, evaluate_pn, gradient, shifted
+from ..identify.frames import T_INVERSE, T
+from .poles import closed_loop_poles, is_beyond
+from .siso import Grid, impedance_dq, impedance_pn, siso
+from .stability import Crossing
+
+NORMAL_95 = 1.959964
+"""Standard errors on either side of a 95 % interval."""
+
+_LINEAR = 0.25  # ends may differ from the delta method's by this part of the half width
+_DRAWS = 400
+_SEARCHED = 400  # frequencies at which a drawn model is looked at
+_STEP = 1e-5  # relative step of the derivative along frequency
+
+Gain = Callable[[RationalModel, np.ndarray], np.ndarray]
+
+
+class Interval(NamedTuple):
+    """What is known of a positive number.
+
+    Attributes
+    ----------
+    std : float
+        Standard error by the delta method.
+    low, high : float or None
+        Ends of the 95 % interval; None if ``high`` has no bound: the crossing may not exist.
+    """
+
+    std: float
+    low: float
+    high: float | None
+
+
+def margin_interval(model: RationalModel, grid: Grid, crossing: Crossing) -> Interval:
+    """Interval of m = |Yg1/Y1| at a crossing of component 1.
+
+    Notes
+    -----
+    dY1 = [1, -Ypn Z2/(1 + Ynn Z2)] dY [1, -Ynp Z2/(1 + Ynn Z2)]^T, from paper eq. 3.
+    """
+    f = np.array([crossing.f_hz])
+    y = evaluate_pn(model, f)[0]
+    z1, z2 = (z[0] for z in impedance_pn(grid, f))
+    left = np.array([1.0, -y[0, 1] * z2 / (1.0 + y[1, 1] * z2)])
+    right = np.array([1.0, -y[1, 0] * z2 / (1.0 + y[1, 1] * z2)])
+    weight = np.outer(T.T @ left, T_INVERSE @ right) * z1
+
+    def gain(moved: RationalModel, nu_hz: np.ndarray) -> np.ndarray:
+        at = nu_hz + model.f1_hz
+        return siso(at, evaluate_pn(moved, at), grid).y1 * impedance_pn(grid, at)[0]
+
+    return _interval(model, gain, crossing.f_hz - model.f1_hz, weight)
+
+
+def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
+    """Interval of the critical multiplier of the grid impedance, det(1 + scale Y Z) = 0 at s = j w."""
+    poles = closed_loop_poles(model, grid.scaled(scale))
+    poles = poles[~is_beyond(model, poles)]
+    nu = float(abs(poles[np.argmax(poles.real)].imag)) / (2.0 * np.pi)
+    s = np.array([2j * np.pi * nu])
+    z = impedance_dq(grid, s)[0]
+    values, right = np.linalg.eig(evaluate(model, s)[0] @ z)
+    k = int(np.argmin(np.abs(values + 1.0 / scale)))
+    left = np.linalg.inv(right)[k]
+    weight = np.outer(left, z @ right[:, k])
+
+    def gain(moved: RationalModel, nu_hz: np.ndarray) -> np.ndarray:
+        s = 2j * np.pi * nu_hz
+        both = np.linalg.eigvals(evaluate(moved, s) @ impedance_dq(grid, s))
+        nearest = np.argmin(np.abs(both + 1.0 / scale), axis=1)
+        return both[np.arange(len(s)), nearest]
+
+    return _interval(model, gain, nu, weight)
+
+
+def _interval(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarray) -> Interval:
+    """Interval of -1/q at the frequency near ``nu_hz`` (dq) where q is real; ``weight`` is dq/dYdq."""
+    value, slope = _value_and_slope(model, gain, nu_hz)
+    g = gradient(model, np.array([2j * np.pi * nu_hz]), weight[None])[0]
+    along = slope.real / slope.imag if slope.imag != 0.0 else 0.0  # at nu = 0 q is real whatever the parameters
+    effect = (g.real - along * g.imag) @ model.covariance_root / value.real**2
+    std = float(np.linalg.norm(effect))
+    middle = -1.0 / value.real
+    if std <= 1e-9 * middle:
+        return Interval(std, middle - NORMAL_95 * std, middle + NORMAL_95 * std)
+    step = NORMAL_95 * (model.covariance_root @ effect) / std
+    ends = np.array([_followed(shifted(model, sign * step), gain, nu_hz) for sign in (-1.0, 1.0)])
+    expected = middle + np.array([-1.0, 1.0]) * NORMAL_95 * std
+    if np.all(np.abs(ends - expected) <= _LINEAR * NORMAL_95 * std):
+        return Interval(std, float(ends[0]), float(ends[1]))
+    return _drawn(model, gain, nu_hz, std)
+
+
+def _value_and_slope(model: RationalModel, gain: Gain, nu_hz: float) -> tuple[complex, complex]:
+    step = _STEP * nu_hz
+    below, value, above = gain(model, nu_hz + np.array([-step, 0.0, step]))
+    return complex(value), complex((above - below) / (2.0 * step)) if step > 0.0 else 0j
+
+
+def _followed(model: RationalModel, gain: Gain, nu_hz: float) -> float:
+    """-1/q at the crossing that Newton's method finds from ``nu_hz``; NaN if it finds none nearby."""
+    at = nu_hz
+    for _ in range(8):
+        value, slope = _value_and_slope(model, gain, at)
+        if slope.imag == 0.0 or abs(value.imag) < 1e-9 * abs(value):
+            break
+        at -= value.imag / slope.imag
+        if not 0.5 * nu_hz < at < 2.0 * nu_hz:
+            return float("nan")
+    value = complex(gain(model, np.array([at]))[0])
+    real = abs(value.imag) < 1e-6 * abs(value) and value.real < 0.0
+    return -1.0 / value.real if real else float("nan")
+
+
+def _drawn(model: RationalModel, gain: Gain, nu_hz: float, std: float) -> Interval:
+    """Quantiles over models drawn from the fit's distribution; one without a crossing counts as infinite."""
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1]))
+    nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED)
+    found = [_smallest(gain(shifted(model, model.covariance_root @ z), nu)) for z in normal]
+    low, high = np.quantile(found, [0.025, 0.975], method="inverted_cdf")
+    return Interval(std, float(low), float(high) if np.isfinite(high) else None)
+
+
+def _smallest(q: np.ndarray) -> float:
+    """Smallest -1/q among the places where q passes the negative real axis; infinite if there is none."""
+    k = np.flatnonzero(np.diff(np.signbit(q.imag)))
+    part = q.imag[k] / (q.imag[k] - q.imag[k + 1])
+    real = q.real[k] + part * (q.real[k + 1] - q.real[k])
+    return float(np.min(-1.0 / real[real < 0.0], initial=np.inf))
