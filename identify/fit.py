@@ -141,15 +141,23 @@ def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndar
 
 
 def shifted(model: RationalModel, change: np.ndarray) -> RationalModel:
-    """The model with its real parameters, in the order of `gradient`, moved by ``change`` (k,); ranks are not kept."""
+    """The model with its real parameters, in the order of `gradient`, moved by ``change`` (k,); ranks are not kept.
+
+    Equal to first order to adding the change. Poles move by a factor and residues with their poles: far outside the
+    band only R/|p| is well known, not R and p.
+    """
     n_real, n_pair = _counts(model.poles)
     m = n_real + 2 * n_pair
     upper = _pairs_joined(change[:m], n_real, n_pair)
+    moved = np.concatenate([upper, upper[n_real:].conj()])
+    by_factor = np.abs(moved) < np.abs(model.poles)  # not a pole at zero
+    relative = np.where(by_factor, moved, 0.0) / np.where(by_factor, model.poles, 1.0)
     residues, d, e = _parts(n_real, n_pair, model.tail, change[m:].reshape(ELEMENTS, -1))
+    own = residues - model.residues * relative.real[:, None, None]
     return replace(
         model,
-        poles=model.poles + np.concatenate([upper, upper[n_real:].conj()]),
-        residues=model.residues + residues,
+        poles=np.where(by_factor, model.poles * np.exp(relative), model.poles + moved),
+        residues=(model.residues + own) * np.exp(relative.real)[:, None, None],
         d=model.d + d,
         e=model.e + e,
     )

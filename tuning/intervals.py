@@ -47,24 +47,34 @@ class Interval(NamedTuple):
 
 
 def margin_interval(model: RationalModel, grid: Grid, crossing: Crossing) -> Interval:
-    """Interval of m = |Yg1/Y1| at a crossing of component 1.
-
-    Notes
-    -----
-    dY1 = [1, -Ypn Z2/(1 + Ynn Z2)] dY [1, -Ynp Z2/(1 + Ynn Z2)]^T, from paper eq. 3.
-    """
+    """Interval of m = |Yg1/Y1| at a crossing of component 1."""
     f = np.array([crossing.f_hz])
-    y = evaluate_pn(model, f)[0]
-    z1, z2 = (z[0] for z in impedance_pn(grid, f))
-    left = np.array([1.0, -y[0, 1] * z2 / (1.0 + y[1, 1] * z2)])
-    right = np.array([1.0, -y[1, 0] * z2 / (1.0 + y[1, 1] * z2)])
-    weight = np.outer(T.T @ left, T_INVERSE @ right) * z1
+    weight = (_effect_on_y1(model, grid, f) * impedance_pn(grid, f)[0])[0]
 
     def gain(moved: RationalModel, nu_hz: np.ndarray) -> np.ndarray:
         at = nu_hz + model.f1_hz
         return siso(at, evaluate_pn(moved, at), grid).y1 * impedance_pn(grid, at)[0]
 
     return _interval(model, gain, crossing.f_hz - model.f1_hz, weight)
+
+
+def relative_error_of_y1(model: RationalModel, grid: Grid, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard errors of ln|Y1| and of its angle (rad), both (n,), at frequencies (n,) in Hz."""
+    y1 = siso(f_hz, evaluate_pn(model, f_hz), grid).y1
+    weight = _effect_on_y1(model, grid, f_hz) / y1[:, None, None]
+    effect = gradient(model, 2j * np.pi * (f_hz - model.f1_hz), weight)
+    return tuple(np.linalg.norm(part @ model.covariance_root, axis=1) for part in (effect.real, effect.imag))
+
+
+def _effect_on_y1(model: RationalModel, grid: Grid, f_hz: np.ndarray) -> np.ndarray:
+    """dY1/dYdq (n, 2, 2): dY1 = [1, -Ypn Z2/(1 + Ynn Z2)] dY [1, -Ynp Z2/(1 + Ynn Z2)]^T, from paper eq. 3."""
+    y = evaluate_pn(model, f_hz)
+    z2 = impedance_pn(grid, f_hz)[1]
+    reduced = z2 / (1.0 + y[:, 1, 1] * z2)
+    one = np.ones_like(z2)
+    left = np.stack([one, -y[:, 0, 1] * reduced], axis=1) @ T
+    right = np.stack([one, -y[:, 1, 0] * reduced], axis=1) @ T_INVERSE.T
+    return np.asarray(left[:, :, None] * right[:, None, :])
 
 
 def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
