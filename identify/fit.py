@@ -70,6 +70,8 @@ class RationalModel:
         What the points were weighted with.
     nu_hz : (n,) float
         Frequencies that were fitted, |f - f1| (Hz).
+    weight : (n, 4) float
+        What dd, dq, qd, qq of every fitted row were weighted with (1/S).
     covariance_root : (k, k) float
         F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
         poles have parameters of which only combinations are known: multiply F first, square then.
@@ -91,6 +93,7 @@ class RationalModel:
     noise_floor: float
     weighting: str
     nu_hz: np.ndarray
+    weight: np.ndarray
     covariance_root: np.ndarray
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
@@ -138,6 +141,23 @@ def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndar
     coefficients = weight.reshape(-1, ELEMENTS, 1) * rows[:, None, :]
     by_pole = [slopes[:, :n_real], upper + lower, 1j * (upper - lower)]
     return np.concatenate([*by_pole, coefficients.reshape(len(s), -1)], axis=1)
+
+
+def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
+    """What every fitted row contributes to the variance of ``g @ parameters``: (n,), adding up to one.
+
+    The noise is taken as the weights have it, uncorrelated between elements.
+    """
+    s = 2j * np.pi * model.nu_hz
+    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
+    slopes = np.stack([gradient(model, s, np.broadcast_to(u, (len(s), 2, 2))) for u in units], axis=1)
+    slopes = slopes * model.weight[:, :, None]
+    jacobian = np.concatenate([slopes.real, slopes.imag], axis=1).reshape(-1, len(g))
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    lever = np.linalg.lstsq((jacobian / size).T, g / size, rcond=1e-12)[0]
+    share = np.sum(lever.reshape(len(s), -1) ** 2, axis=1)
+    return share / np.sum(share)
 
 
 def shifted(model: RationalModel, change: np.ndarray) -> RationalModel:
@@ -663,6 +683,7 @@ def _model(
         noise_floor=problem.noise_floor,
         weighting=problem.weighting,
         nu_hz=problem.s.imag / (2.0 * np.pi),
+        weight=problem.weight.T,
         covariance_root=root,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,

@@ -141,11 +141,16 @@ def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
     return Shape(left, right, complex(left @ slope @ right))
 
 
-def _covariance(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
-    """(2, 2) over Re and Im by the delta method: the pole moves by -left dY right / (left M' right)."""
+def mode_gradient(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
+    """Minus the derivative (k,) of a closed-loop pole by the fit's parameters: left dY right / (left M' right)."""
     shape = mode_shape(model, grid, pole)
     weight = np.outer(shape.left, shape.right)[None] / shape.slope
-    g = gradient(model, np.array([pole]), weight)[0]
+    return gradient(model, np.array([pole]), weight)[0]
+
+
+def _covariance(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
+    """(2, 2) over Re and Im by the delta method."""
+    g = mode_gradient(model, grid, pole)
     effect = np.stack([g.real, g.imag]) @ model.covariance_root
     return np.asarray(effect @ effect.T)
 
