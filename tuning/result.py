@@ -347,7 +347,7 @@ def with_doubt(value: float | None, interval: Interval | None, digits: int = 3) 
     if interval.high is None:
         return f"{value:.{digits}f} (> {interval.low:.2g})"
     half = (interval.high - interval.low) / 2.0
-    digits = min(digits, max(1, 1 - floor(log10(half))))
+    digits = min(digits, max(1, -floor(log10(half))))
     return f"{value:.{digits}f} +- {half:.{digits}f}"
 
 
