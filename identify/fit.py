@@ -41,6 +41,15 @@ _EXPLAINED = 1.5  # misfits up to this multiple of the given variances are left 
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
+class Rational(NamedTuple):
+    """Poles (m,), residues (m, 2, 2), D and E (2, 2) of a rational function, as in `RationalModel`."""
+
+    poles: np.ndarray
+    residues: np.ndarray
+    d: np.ndarray
+    e: np.ndarray
+
+
 @dataclass(frozen=True, slots=True)
 class RationalModel:
     """Ydq(s) = sum_k R_k / (s - p_k) + D + s E, with real coefficients.
@@ -75,6 +84,9 @@ class RationalModel:
     covariance_root : (k, k) float
         F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
         poles have parameters of which only combinations are known: multiply F first, square then.
+    rival : Rational or None
+        The fit with one pair more, which the data do not pay for but do not exclude either. Its difference is taken
+        as one more error of the model. None where the misfit is at the noise floor.
     pole_std : (m,) complex
         Standard errors of the poles, real part + 1j imaginary part (rad/s).
     notes : tuple of str
@@ -95,6 +107,7 @@ class RationalModel:
     nu_hz: np.ndarray
     weight: np.ndarray
     covariance_root: np.ndarray
+    rival: Rational | None
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
 
@@ -109,7 +122,7 @@ class RationalModel:
         return int(np.sum(self.ranks[self.poles.real > 0.0]))
 
 
-def evaluate(model: RationalModel, s: np.ndarray) -> np.ndarray:
+def evaluate(model: RationalModel | Rational, s: np.ndarray) -> np.ndarray:
     """Ydq (n, 2, 2) in S at complex frequencies ``s`` (n,) in rad/s, dq frame."""
     s = np.atleast_1d(np.asarray(s, dtype=complex))
     strictly_proper = (1.0 / (s[:, None] - model.poles)) @ model.residues.reshape(-1, ELEMENTS)
@@ -160,12 +173,25 @@ def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
     return share / np.sum(share)
 
 
-def shifted(model: RationalModel, change: np.ndarray) -> RationalModel:
-    """The model with its real parameters, in the order of `gradient`, moved by ``change`` (k,); ranks are not kept.
+def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """What the independent errors of the fit, each of unit variance, do to ``sum_ij weight_ij Ydq_ij(s)``: (n, k + 1).
 
-    Equal to first order to adding the change. Poles move by a factor and residues with their poles: far outside the
-    band only R/|p| is well known, not R and p.
+    The covariance of such sums is that of the columns: ``spread @ spread.T`` for the real parts. ``s`` and ``weight``
+    are those of `gradient`. The last error is the difference to the rival.
     """
+    by_noise = gradient(model, s, weight) @ model.covariance_root
+    if model.rival is None:
+        return np.append(by_noise, np.zeros((len(s), 1)), axis=1)
+    by_order = np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
+    return np.append(by_noise, by_order[:, None], axis=1)
+
+
+def shifted(model: RationalModel, errors: np.ndarray) -> Rational:
+    """The model as it would be with the independent errors (k + 1,) of `spread`; equal to them to first order.
+
+    Poles move by a factor and residues with their poles: far outside the band only R/|p| is well known, not R and p.
+    """
+    change = model.covariance_root @ errors[:-1]
     n_real, n_pair = _counts(model.poles)
     m = n_real + 2 * n_pair
     upper = _pairs_joined(change[:m], n_real, n_pair)
@@ -174,12 +200,19 @@ def shifted(model: RationalModel, change: np.ndarray) -> RationalModel:
     relative = np.where(by_factor, moved, 0.0) / np.where(by_factor, model.poles, 1.0)
     residues, d, e = _parts(n_real, n_pair, model.tail, change[m:].reshape(ELEMENTS, -1))
     own = residues - model.residues * relative.real[:, None, None]
-    return replace(
-        model,
-        poles=np.where(by_factor, model.poles * np.exp(relative), model.poles + moved),
-        residues=(model.residues + own) * np.exp(relative.real)[:, None, None],
-        d=model.d + d,
-        e=model.e + e,
+    poles = np.where(by_factor, model.poles * np.exp(relative), model.poles + moved)
+    residues = (model.residues + own) * np.exp(relative.real)[:, None, None]
+    near = Rational(poles, residues, model.d + d, model.e + e)
+    return near if model.rival is None else _towards(near, model, model.rival, float(errors[-1]))
+
+
+def _towards(near: Rational, model: RationalModel, rival: Rational, part: float) -> Rational:
+    """``near + part * (rival - model)``."""
+    return Rational(
+        np.concatenate([near.poles, model.poles, rival.poles]),
+        np.concatenate([near.residues, -part * model.residues, part * rival.residues]),
+        near.d + part * (rival.d - model.d),
+        near.e + part * (rival.e - model.e),
     )
 
 
@@ -685,10 +718,24 @@ def _model(
         nu_hz=problem.s.imag / (2.0 * np.pi),
         weight=problem.weight.T,
         covariance_root=root,
+        rival=_rival(problem, trial),
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
     )
     return _with_sign_notes(model)
+
+
+def _rival(problem: _Problem, trial: _Trial) -> Rational | None:
+    """The fit with one pair more."""
+    room = _order(trial.poles) + 2 <= (len(problem.s) - 1) // 2
+    if trial.cost < 4.0 * _floor_cost(problem) or not room:
+        return None
+    more = _vector_fit(problem, _with_pair(problem, trial), trial.tail, n_iterations=5)
+    more = _refine(problem, more, n_iterations=5)
+    n_real, n_pair = _counts_upper(more.poles)
+    linear = _linear(problem, more.poles, more.tail)
+    residues, d, e = _parts(n_real, n_pair, more.tail, linear.coefficients)
+    return Rational(np.concatenate([more.poles, more.poles[n_real:].conj()]), residues, d, e)
 
 
 def _parts(n_real: int, n_pair: int, tail: int, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

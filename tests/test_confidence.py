@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from seqsweep.identify.fit import evaluate_pn, fit_response, row_shares, to_dq
+from seqsweep.identify.fit import evaluate_pn, fit_response, gradient, row_shares, to_dq
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.uncertainty import real_covariance, student_factor
 from seqsweep.plant.dpmsg_parameters import TABLE_I, TurbineParameters
 from seqsweep.tuning.advice import remedy
 from seqsweep.tuning.intervals import Interval, margin_interval, relative_error_of_y1, scale_interval
 from seqsweep.tuning.margins import critical_scale
-from seqsweep.tuning.poles import mode_gradient
+from seqsweep.tuning.poles import mode_weight
 from seqsweep.tuning.result import format_table, with_doubt
 from seqsweep.tuning.siso import Grid, impedance_dq, siso
 from seqsweep.tuning.stability import bode_crossings, critical_crossing, judge
@@ -213,12 +213,16 @@ def test_intervals_cover_in_a_few_trials() -> None:
 
 
 def nyquist_of_rows(response: FrequencyResponse, grid: Grid) -> str:
-    """What a Nyquist plot of the rows says: turns of det(1 + Y Z) between them, straight from one to the next."""
+    """What a Nyquist plot of the rows says: turns of det(1 + Y Z), straight from row to row.
+
+    It is real at f1, and beyond the last row no eigenvalue of Y Z is taken to pass -1.
+    """
     data = to_dq(response)
-    locus = np.linalg.det(np.eye(2) + data.y @ impedance_dq(grid, 2j * np.pi * data.nu_hz))
-    half = np.concatenate([[abs(locus[0]) + 0j], locus, [abs(locus[-1]) + 0j]])
-    turn = float(np.sum(np.angle(half[1:] / half[:-1])))
-    return "stable" if round(turn / np.pi) == 0 else "unstable"
+    gain = data.y @ impedance_dq(grid, 2j * np.pi * data.nu_hz)
+    locus = np.linalg.det(np.eye(2) + gain)
+    path = np.concatenate([[locus[0].real + 0j], locus])
+    half = np.sum(np.angle(path[1:] / path[:-1])) - np.sum(np.angle(1.0 + np.linalg.eigvals(gain[-1])))
+    return "stable" if round(float(half) / np.pi) == 0 else "unstable"
 
 
 def bode_of_rows(response: FrequencyResponse, grid: Grid) -> str:
@@ -310,7 +314,8 @@ def test_shares_of_the_rows_are_largest_at_the_mode() -> None:
     model = fit_response(table(at.y, 1e-2, np.random.default_rng(2)))
     loop = judge(model, at.edge).closed_loop
     pole = complex(loop.poles[loop.critical or 0])
-    share = row_shares(model, mode_gradient(model, at.edge, pole).real)
+    g = gradient(model, np.array([pole]), mode_weight(model, at.edge, pole))[0]
+    share = row_shares(model, g.real)
     assert np.sum(share) == pytest.approx(1.0)
     assert model.nu_hz[np.argmax(share)] == pytest.approx(pole.imag / 2.0 / np.pi, rel=0.3)
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, row_shares
-from .poles import mode_gradient
+from ..identify.fit import RationalModel, gradient, row_shares
+from .poles import mode_weight
 from .siso import Grid
 
 MOST_PERIODS = 1000
@@ -35,7 +35,8 @@ def remedy(model: RationalModel, grid: Grid, pole: complex, part: float) -> Reme
     Noise goes down with the number of periods. A band grows from the row that matters most towards the neighbour that
     matters more; of all such bands the one with the fewest periods in total is taken.
     """
-    share = row_shares(model, mode_gradient(model, grid, pole).real)
+    g = gradient(model, np.array([pole]), mode_weight(model, grid, pole))[0]
+    share = row_shares(model, g.real)
     first = last = int(np.argmax(share))
     best: tuple[float, Remedy] | None = None
     while last - first + 1 < len(share):

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, evaluate, evaluate_pn, gradient, shifted
-from ..identify.frames import T_INVERSE, T
+from ..identify.fit import Rational, RationalModel, evaluate, evaluate_pn, shifted, spread
+from ..identify.frames import T_INVERSE, T, dq_to_pn
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
 from .stability import Crossing
@@ -27,7 +27,7 @@ _DRAWS = 400
 _SEARCHED = 400  # frequencies at which a drawn model is looked at
 _STEP = 1e-5  # relative step of the derivative along frequency
 
-Gain = Callable[[RationalModel, np.ndarray], np.ndarray]
+Gain = Callable[[RationalModel | Rational, np.ndarray], np.ndarray]
 
 
 class Interval(NamedTuple):
@@ -51,9 +51,10 @@ def margin_interval(model: RationalModel, grid: Grid, crossing: Crossing) -> Int
     f = np.array([crossing.f_hz])
     weight = (_effect_on_y1(model, grid, f) * impedance_pn(grid, f)[0])[0]
 
-    def gain(moved: RationalModel, nu_hz: np.ndarray) -> np.ndarray:
+    def gain(moved: RationalModel | Rational, nu_hz: np.ndarray) -> np.ndarray:
         at = nu_hz + model.f1_hz
-        return siso(at, evaluate_pn(moved, at), grid).y1 * impedance_pn(grid, at)[0]
+        y = dq_to_pn(evaluate(moved, 2j * np.pi * nu_hz))
+        return siso(at, y, grid).y1 * impedance_pn(grid, at)[0]
 
     return _interval(model, gain, crossing.f_hz - model.f1_hz, weight)
 
@@ -62,8 +63,8 @@ def relative_error_of_y1(model: RationalModel, grid: Grid, f_hz: np.ndarray) -> 
     """Standard errors of ln|Y1| and of its angle (rad), both (n,), at frequencies (n,) in Hz."""
     y1 = siso(f_hz, evaluate_pn(model, f_hz), grid).y1
     weight = _effect_on_y1(model, grid, f_hz) / y1[:, None, None]
-    effect = gradient(model, 2j * np.pi * (f_hz - model.f1_hz), weight)
-    return tuple(np.linalg.norm(part @ model.covariance_root, axis=1) for part in (effect.real, effect.imag))
+    errors = spread(model, 2j * np.pi * (f_hz - model.f1_hz), weight)
+    return np.linalg.norm(errors.real, axis=1), np.linalg.norm(errors.imag, axis=1)
 
 
 def _effect_on_y1(model: RationalModel, grid: Grid, f_hz: np.ndarray) -> np.ndarray:
@@ -89,7 +90,7 @@ def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
     left = np.linalg.inv(right)[k]
     weight = np.outer(left, z @ right[:, k])
 
-    def gain(moved: RationalModel, nu_hz: np.ndarray) -> np.ndarray:
+    def gain(moved: RationalModel | Rational, nu_hz: np.ndarray) -> np.ndarray:
         s = 2j * np.pi * nu_hz
         both = np.linalg.eigvals(evaluate(moved, s) @ impedance_dq(grid, s))
         nearest = np.argmin(np.abs(both + 1.0 / scale), axis=1)
@@ -101,14 +102,14 @@ def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
 def _interval(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarray) -> Interval:
     """Interval of -1/q at the frequency near ``nu_hz`` (dq) where q is real; ``weight`` is dq/dYdq."""
     value, slope = _value_and_slope(model, gain, nu_hz)
-    g = gradient(model, np.array([2j * np.pi * nu_hz]), weight[None])[0]
+    errors = spread(model, np.array([2j * np.pi * nu_hz]), weight[None])[0]
     along = slope.real / slope.imag if slope.imag != 0.0 else 0.0  # at nu = 0 q is real whatever the parameters
-    effect = (g.real - along * g.imag) @ model.covariance_root / value.real**2
+    effect = (errors.real - along * errors.imag) / value.real**2
     std = float(np.linalg.norm(effect))
     middle = -1.0 / value.real
     if std <= 1e-9 * middle:
         return Interval(std, middle - NORMAL_95 * std, middle + NORMAL_95 * std)
-    step = NORMAL_95 * (model.covariance_root @ effect) / std
+    step = NORMAL_95 * effect / std
     ends = np.array([_followed(shifted(model, sign * step), gain, nu_hz) for sign in (-1.0, 1.0)])
     expected = middle + np.array([-1.0, 1.0]) * NORMAL_95 * std
     if np.all(np.abs(ends - expected) <= _LINEAR * NORMAL_95 * std):
@@ -116,13 +117,13 @@ def _interval(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarray
     return _drawn(model, gain, nu_hz, std)
 
 
-def _value_and_slope(model: RationalModel, gain: Gain, nu_hz: float) -> tuple[complex, complex]:
+def _value_and_slope(model: RationalModel | Rational, gain: Gain, nu_hz: float) -> tuple[complex, complex]:
     step = _STEP * nu_hz
     below, value, above = gain(model, nu_hz + np.array([-step, 0.0, step]))
     return complex(value), complex((above - below) / (2.0 * step)) if step > 0.0 else 0j
 
 
-def _followed(model: RationalModel, gain: Gain, nu_hz: float) -> float:
+def _followed(model: Rational, gain: Gain, nu_hz: float) -> float:
     """-1/q at the crossing that Newton's method finds from ``nu_hz``; NaN if it finds none nearby."""
     at = nu_hz
     for _ in range(8):
@@ -139,9 +140,9 @@ def _followed(model: RationalModel, gain: Gain, nu_hz: float) -> float:
 
 def _drawn(model: RationalModel, gain: Gain, nu_hz: float, std: float) -> Interval:
     """Quantiles over models drawn from the fit's distribution; one without a crossing counts as infinite."""
-    normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1]))
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1] + 1))
     nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED)
-    found = [_smallest(gain(shifted(model, model.covariance_root @ z), nu)) for z in normal]
+    found = [_smallest(gain(shifted(model, z), nu)) for z in normal]
     low, high = np.quantile(found, [0.025, 0.975], method="inverted_cdf")
     return Interval(std, float(low), float(high) if np.isfinite(high) else None)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, derivative, evaluate, gradient
+from ..identify.fit import RationalModel, derivative, evaluate, spread
 from .siso import Grid, check_fundamental, impedance_dq
 
 RESONANCE_FROM_HZ = 5.0
@@ -141,17 +141,19 @@ def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
     return Shape(left, right, complex(left @ slope @ right))
 
 
-def mode_gradient(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
-    """Minus the derivative (k,) of a closed-loop pole by the fit's parameters: left dY right / (left M' right)."""
+def mode_weight(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
+    """What a closed-loop pole moves by, but for its sign, when Ydq at the pole changes: (1, 2, 2), as for `gradient`.
+
+    The pole moves by -left dY right / (left M' right).
+    """
     shape = mode_shape(model, grid, pole)
-    weight = np.outer(shape.left, shape.right)[None] / shape.slope
-    return gradient(model, np.array([pole]), weight)[0]
+    return np.outer(shape.left, shape.right)[None] / shape.slope
 
 
 def _covariance(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
     """(2, 2) over Re and Im by the delta method."""
-    g = mode_gradient(model, grid, pole)
-    effect = np.stack([g.real, g.imag]) @ model.covariance_root
+    errors = spread(model, np.array([pole]), mode_weight(model, grid, pole))[0]
+    effect = np.stack([errors.real, errors.imag])
     return np.asarray(effect @ effect.T)
 
 

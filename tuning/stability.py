@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, evaluate, evaluate_pn, gradient
+from ..identify.fit import RationalModel, evaluate, evaluate_pn, spread
 from .advice import remedy
 from .poles import ClosedLoop, closed_loop
 from .siso import Grid, check_fundamental, impedance_dq, impedance_pn, siso
@@ -419,8 +419,8 @@ def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.nd
     z = impedance_dq(grid, s)
     loop = np.eye(2) + evaluate(model, s) @ z
     adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-    slope = gradient(model, s, np.swapaxes(z @ adjugate, 1, 2))
-    real, imag = slope.real @ model.covariance_root, slope.imag @ model.covariance_root
+    errors = spread(model, s, np.swapaxes(z @ adjugate, 1, 2))
+    real, imag = errors.real, errors.imag
     value = _det(loop)
     rounding = 1e-18 * np.sum(np.abs(loop) ** 2, axis=(1, 2)) ** 2  # at nu = 0 the locus is real, and so is its spread
     var_re, var_im = np.sum(real**2, axis=1) + rounding, np.sum(imag**2, axis=1) + rounding
