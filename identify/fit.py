@@ -36,6 +36,7 @@ _NEAR = 1e-3  # poles closer than this, relatively, count as coinciding
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
 _ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
+_FEIGNED = 18.0  # chi-squared that a pair of poles sought over the band gains from noise alone, on average
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
 _EXPLAINED = 1.5  # misfits up to this multiple of the given variances are left to a factor
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
@@ -85,8 +86,9 @@ class RationalModel:
         F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
         poles have parameters of which only combinations are known: multiply F first, square then.
     rival : Rational or None
-        The fit with one pair more, which the data do not pay for but do not exclude either. Its difference is taken
-        as one more error of the model. None where the misfit is at the noise floor.
+        The fit with one pair more, which the data do not pay for. None where it gains no more than noise would give.
+    rival_share : float
+        Which part of the difference to the rival is taken as one more error of the model, as a standard deviation.
     pole_std : (m,) complex
         Standard errors of the poles, real part + 1j imaginary part (rad/s).
     notes : tuple of str
@@ -108,6 +110,7 @@ class RationalModel:
     weight: np.ndarray
     covariance_root: np.ndarray
     rival: Rational | None
+    rival_share: float
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
 
@@ -183,7 +186,7 @@ def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarra
     if model.rival is None:
         return np.append(by_noise, np.zeros((len(s), 1)), axis=1)
     by_order = np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
-    return np.append(by_noise, by_order[:, None], axis=1)
+    return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
 
 
 def shifted(model: RationalModel, errors: np.ndarray) -> Rational:
@@ -203,7 +206,7 @@ def shifted(model: RationalModel, errors: np.ndarray) -> Rational:
     poles = np.where(by_factor, model.poles * np.exp(relative), model.poles + moved)
     residues = (model.residues + own) * np.exp(relative.real)[:, None, None]
     near = Rational(poles, residues, model.d + d, model.e + e)
-    return near if model.rival is None else _towards(near, model, model.rival, float(errors[-1]))
+    return near if model.rival is None else _towards(near, model, model.rival, model.rival_share * float(errors[-1]))
 
 
 def _towards(near: Rational, model: RationalModel, rival: Rational, part: float) -> Rational:
@@ -701,6 +704,7 @@ def _model(
     m = n_real + 2 * n_pair
     root = _covariance_root(problem, trial, linear)
     root[m:] = cut.kept @ root[m:]
+    rival, rival_share = _rival(problem, trial)
     std = np.linalg.norm(root[:m], axis=1)
     pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
     model = RationalModel(
@@ -718,24 +722,33 @@ def _model(
         nu_hz=problem.s.imag / (2.0 * np.pi),
         weight=problem.weight.T,
         covariance_root=root,
-        rival=_rival(problem, trial),
+        rival=rival,
+        rival_share=rival_share,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
     )
     return _with_sign_notes(model)
 
 
-def _rival(problem: _Problem, trial: _Trial) -> Rational | None:
-    """The fit with one pair more."""
+def _rival(problem: _Problem, trial: _Trial) -> tuple[Rational | None, float]:
+    """The fit with one pair more, and the share of its difference that counts as an error.
+
+    A mode just too faint to pay is no noise: left out, it moves the others. The squared share is the part of the rival's
+    gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
+    """
     room = _order(trial.poles) + 2 <= (len(problem.s) - 1) // 2
     if trial.cost < 4.0 * _floor_cost(problem) or not room:
-        return None
+        return None, 0.0
     more = _vector_fit(problem, _with_pair(problem, trial), trial.tail, n_iterations=5)
     more = _refine(problem, more, n_iterations=5)
     n_real, n_pair = _counts_upper(more.poles)
     linear = _linear(problem, more.poles, more.tail)
+    gain = (trial.cost - more.cost) / _variance(problem, more, linear)
+    if gain <= _FEIGNED:
+        return None, 0.0
     residues, d, e = _parts(n_real, n_pair, more.tail, linear.coefficients)
-    return Rational(np.concatenate([more.poles, more.poles[n_real:].conj()]), residues, d, e)
+    rival = Rational(np.concatenate([more.poles, more.poles[n_real:].conj()]), residues, d, e)
+    return rival, float(np.sqrt(1.0 - _FEIGNED / gain))
 
 
 def _parts(n_real: int, n_pair: int, tail: int, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -783,16 +796,19 @@ def _noise_root(problem: _Problem, linear: _Linear, directions: np.ndarray) -> n
     """Root (k, k) of the covariance of the noise along orthonormal ``directions`` (4, 2n, k)."""
     n, k = len(problem.s), directions.shape[2]
     by_row = directions.reshape(ELEMENTS, 2, n, k).transpose(2, 0, 1, 3).reshape(n, 2 * ELEMENTS, k)
-    noise = _noise_of_misfit(linear, by_row) if problem.noise is None else _noise_of_table(problem, linear, by_row)
+    if problem.noise is None:
+        noise = _noise_of_misfit(linear, by_row)
+    else:
+        noise = _noise_of_table(problem.noise, linear, by_row)
     spread = np.tensordot(by_row, noise @ by_row, axes=([0, 1], [0, 1]))
     variance, axes = np.linalg.eigh(spread)
     return axes * np.sqrt(np.maximum(variance, (1e-3 * problem.floor) ** 2))
 
 
-def _noise_of_table(problem: _Problem, linear: _Linear, by_row: np.ndarray) -> np.ndarray:
+def _noise_of_table(noise: np.ndarray, linear: _Linear, by_row: np.ndarray) -> np.ndarray:
     """(n, 8, 8): the table's covariances, scaled so that they explain the misfit."""
-    left = np.einsum("nii->", problem.noise) - np.einsum("nik,nij,njk->", by_row, problem.noise, by_row)
-    return problem.noise * (linear.cost / left)
+    left = np.einsum("nii->", noise) - np.sum(by_row * (noise @ by_row))
+    return noise * (linear.cost / left)
 
 
 def _noise_of_misfit(linear: _Linear, by_row: np.ndarray) -> np.ndarray:
