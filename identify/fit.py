@@ -733,14 +733,14 @@ def _model(
 def _rival(problem: _Problem, trial: _Trial) -> tuple[Rational | None, float]:
     """The fit with one pair more, and the share of its difference that counts as an error.
 
-    A mode just too faint to pay is no noise: left out, it moves the others. The squared share is the part of the rival's
-    gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
+    A mode just too faint to pay is no noise: left out, it moves the others. The squared share is the part of the
+    rival's gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
     """
     room = _order(trial.poles) + 2 <= (len(problem.s) - 1) // 2
     if trial.cost < 4.0 * _floor_cost(problem) or not room:
         return None, 0.0
-    more = _vector_fit(problem, _with_pair(problem, trial), trial.tail, n_iterations=5)
-    more = _refine(problem, more, n_iterations=5)
+    more = _vector_fit(problem, _with_pair(problem, trial), trial.tail, n_iterations=4)
+    more = _refine(problem, more, n_iterations=3)
     n_real, n_pair = _counts_upper(more.poles)
     linear = _linear(problem, more.poles, more.tail)
     gain = (trial.cost - more.cost) / _variance(problem, more, linear)

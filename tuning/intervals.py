@@ -56,7 +56,7 @@ def margin_interval(model: RationalModel, grid: Grid, crossing: Crossing) -> Int
         y = dq_to_pn(evaluate(moved, 2j * np.pi * nu_hz))
         return siso(at, y, grid).y1 * impedance_pn(grid, at)[0]
 
-    return _interval(model, gain, crossing.f_hz - model.f1_hz, weight)
+    return interval_at(model, gain, crossing.f_hz - model.f1_hz, weight)
 
 
 def relative_error_of_y1(model: RationalModel, grid: Grid, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,11 +96,14 @@ def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
         nearest = np.argmin(np.abs(both + 1.0 / scale), axis=1)
         return both[np.arange(len(s)), nearest]
 
-    return _interval(model, gain, nu, weight)
+    return interval_at(model, gain, nu, weight)
 
 
-def _interval(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarray) -> Interval:
-    """Interval of -1/q at the frequency near ``nu_hz`` (dq) where q is real; ``weight`` is dq/dYdq."""
+def interval_at(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarray) -> Interval:
+    """Interval of -1/q at the frequency ``nu_hz`` (Hz, dq) where q is real and negative.
+
+    ``gain`` gives q (n,) of a model at frequencies (n,) in Hz, dq; ``weight`` (2, 2) is dq/dYdq at ``nu_hz`` (ohm).
+    """
     value, slope = _value_and_slope(model, gain, nu_hz)
     errors = spread(model, np.array([2j * np.pi * nu_hz]), weight[None])[0]
     along = slope.real / slope.imag if slope.imag != 0.0 else 0.0  # at nu = 0 q is real whatever the parameters
