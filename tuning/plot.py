@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 _DEVICE = "C0"
 _GRID = "C3"
 _STYLE = {"lw": 1.3}
-_VISIBLE = 2e-3  # relative half width below which a band is thinner than the line
+_VISIBLE = 0.01  # relative half width below which a band is no wider than the line
+_REGION = 2e-3  # width of a pole's 95 % region, relative to the pole, from which on it is drawn
 
 
 def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None) -> None:
@@ -120,10 +121,10 @@ def _draw_pair(magnitude: Axes, phase: Axes, f: np.ndarray, device: np.ndarray, 
 def _draw_doubt(magnitude: Axes, phase: Axes, model: RationalModel, grid: Grid, f: np.ndarray, pair: Siso) -> None:
     """95 % bands of Y1, where they are wide enough to be seen; those of Y2 are their mirror images."""
     modulus, angle = (NORMAL_95 * x for x in relative_error_of_y1(model, grid, f))
-    if modulus.max() < _VISIBLE:
+    if np.quantile(modulus, 0.9) < _VISIBLE:
         return
-    y1 = np.abs(pair.y1)
-    band = {"color": _DEVICE, "alpha": 0.25, "lw": 0.0}
+    y1, modulus = np.abs(pair.y1), np.minimum(modulus, 1.0)  # near f1 it is anyone's guess
+    band: dict[str, Any] = {"color": _DEVICE, "alpha": 0.25, "lw": 0.0}
     magnitude.fill_between(f, y1 * np.exp(-modulus), y1 * np.exp(modulus), label="95 %", **band)
     difference = np.degrees(np.angle(pair.y1 / pair.yg1)) % 360.0
     wide = np.degrees(np.minimum(angle, np.pi))
@@ -197,8 +198,7 @@ def _draw_poles(axes: Axes, point: PointTuning) -> None:
     )
     if loop.critical is not None:
         pole = loop.poles[loop.critical]
-        region = _region(complex(pole), loop.covariance[loop.critical])
-        axes.plot(region.real, region.imag / (2.0 * np.pi), color="C1", lw=1.2)
+        _draw_region(axes, complex(pole), loop.covariance[loop.critical])
         text = f"{pole.real:+.2f} rad/s, {loop.f_hz[loop.critical]:.2f} Hz\ndamping {loop.damping[loop.critical]:.1%}"
         axes.annotate(
             text,
@@ -212,8 +212,25 @@ def _draw_poles(axes: Axes, point: PointTuning) -> None:
     axes.set_ylim(0.0, loop.f1_hz)
     axes.set_xlabel("Real part (rad/s)")
     axes.set_ylabel("|Im|/2$\\pi$ in dq (Hz)")
-    axes.set_title("Closed-loop poles, two standard errors, 95 % region", fontsize="medium")
+    axes.set_title("Closed-loop poles, two standard errors", fontsize="medium")
     axes.grid(True, alpha=0.25)
+
+
+def _draw_region(axes: Axes, pole: complex, covariance: np.ndarray) -> None:
+    """The critical pole from near by with its 95 % region, where noise gives it one."""
+    edge = _region(pole, covariance)
+    width, height = np.ptp(edge.real), np.ptp(edge.imag) / (2.0 * np.pi)
+    if width < _REGION * abs(pole):
+        return
+    near = axes.inset_axes((0.13, 0.1, 0.3, 0.3))
+    near.fill(edge.real, edge.imag / (2.0 * np.pi), color="C1", alpha=0.35, lw=0.0)
+    near.plot([pole.real], [pole.imag / (2.0 * np.pi)], "x", color=_DEVICE, ms=7, mew=1.6)
+    near.axvline(0.0, color="k", lw=0.8)
+    left, right = pole.real - width, pole.real + width
+    near.set_xlim(min(left, -0.1 * width), max(right, 0.1 * width) if pole.real > -3.0 * width else right)
+    near.set_ylim(pole.imag / (2.0 * np.pi) - height, pole.imag / (2.0 * np.pi) + height)
+    near.set_title("95 % region", fontsize="x-small")
+    near.tick_params(labelsize="x-small")
 
 
 def _region(pole: complex, covariance: np.ndarray) -> np.ndarray:
