@@ -698,13 +698,13 @@ def _model(
     problem: _Problem, f1_hz: float, trial: _Trial, notes: tuple[str, ...], whole_ranks: bool = False
 ) -> RationalModel:
     linear = _linear(problem, trial.poles, trial.tail)
-    cut = _cut_ranks(problem, trial, linear)
+    cut = _uncut(trial, linear) if whole_ranks else _cut_ranks(problem, trial, linear)
     n_real, n_pair = _counts_upper(trial.poles)
     residues, d, e = _parts(n_real, n_pair, trial.tail, cut.coefficients)
     m = n_real + 2 * n_pair
     root = _covariance_root(problem, trial, linear)
     root[m:] = cut.kept @ root[m:]
-    rival, rival_share = _rival(problem, trial)
+    rival, rival_share = (None, 0.0) if whole_ranks else _rival(problem, trial)
     std = np.linalg.norm(root[:m], axis=1)
     pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
     model = RationalModel(
@@ -842,7 +842,7 @@ class _Cut(NamedTuple):
 
 
 def _uncut(trial: _Trial, linear: _Linear) -> _Cut:
-    return _Cut(linear.coefficients, np.full(_order(trial.poles), 2))
+    return _Cut(linear.coefficients, np.full(_order(trial.poles), 2), np.eye(linear.coefficients.size))
 
 
 def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:
