@@ -275,7 +275,7 @@ def verdict_rates(n_devices: int, level: float, distances: tuple[float, ...], se
 @pytest.mark.evidence
 def test_verdicts_near_the_edge_are_rarely_wrong_and_not_often_withheld() -> None:
     distances = (0.003, 0.01, 0.03, 0.1)
-    for level in (1e-3, 1e-2, 3e-2):
+    for level in (0.0, 1e-3, 1e-2, 3e-2):
         for distance, rates in verdict_rates(250, level, distances, 31).items():
             print(
                 f"noise {level:.1%}, edge {distance:.1%} away: wrong {rates.wrong:.1%}, undecided "
@@ -447,26 +447,12 @@ def test_covariance_of_a_folded_row_is_that_of_its_values() -> None:
     np.testing.assert_allclose(np.cov(np.array(folded).T), data.covariance[0], atol=0.1 * data.covariance.max())
 
 
-def test_rows_that_claim_too_much_do_not_spoil_the_fit() -> None:
-    """The model errs by 1e-4 everywhere; every fifth row claims to be known to 1e-8, the others to 1e-4."""
-    rng = np.random.default_rng(6)
+@pytest.mark.parametrize("claims", [np.arange(len(F_HZ)) % 5 == 2, F_HZ < 10.0], ids=["every fifth", "a band"])
+def test_rows_that_claim_too_much_do_not_spoil_the_fit(claims: np.ndarray) -> None:
+    """The rows err by 1e-4 and some claim to be known to 1e-8: the fit is about as good as without covariances."""
     exact = oracle.admittance_pn(F_HZ, 0.65e6, U_V)
-    y = exact * (1.0 + 1e-4 * circular(rng, exact.shape))
-    claimed = np.where(np.arange(len(F_HZ)) % 5 == 2, 1e-8, 1e-4)[:, None, None] * np.abs(exact)
-    covariance = np.array([np.diag(np.repeat(row.ravel() ** 2 / 2.0, 2)) for row in claimed])
-    fits = [fit_response(FrequencyResponse(F_HZ, y, F1_HZ, covariance=c)) for c in (covariance, None)]
-    spoilt, plain = (
-        np.median(np.linalg.norm(evaluate_pn(m, F_HZ) - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2)))
-        for m in fits
-    )
-    assert spoilt < 1.5 * plain
-
-
-def test_rows_that_claim_too_much_in_a_whole_band_do_not_spoil_the_fit() -> None:
-    rng = np.random.default_rng(6)
-    exact = oracle.admittance_pn(F_HZ, 0.65e6, U_V)
-    y = exact * (1.0 + 1e-4 * circular(rng, exact.shape))
-    claimed = np.where(F_HZ < 10.0, 1e-8, 1e-4)[:, None, None] * np.abs(exact)
+    y = exact * (1.0 + 1e-4 * circular(np.random.default_rng(6), exact.shape))
+    claimed = np.where(claims, 1e-8, 1e-4)[:, None, None] * np.abs(exact)
     covariance = np.array([np.diag(np.repeat(row.ravel() ** 2 / 2.0, 2)) for row in claimed])
     fits = [fit_response(FrequencyResponse(F_HZ, y, F1_HZ, covariance=c)) for c in (covariance, None)]
     spoilt, plain = (
