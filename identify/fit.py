@@ -330,12 +330,14 @@ def _problem(data: DqData, noise_floor: float, part: float | None = None) -> _Pr
     size = np.linalg.norm(data.y, axis=(1, 2)) / 2.0
     s = 2j * np.pi * data.nu_hz
     y = data.y.reshape(-1, ELEMENTS).T
-    if data.std is None or data.covariance is None:
+    if data.std is None:
         weight = np.broadcast_to(1.0 / size, y.shape)
         return _Problem(s, y, weight, None, noise_floor, "relative", noise_floor)
     weight = 1.0 / np.hypot(data.std.reshape(-1, ELEMENTS).T, part * size)
     by_row = np.repeat(weight.T, 2, axis=1)
-    noise = data.covariance + (part * size)[:, None, None] ** 2 * np.eye(2 * ELEMENTS)
+    own = np.repeat(data.std.reshape(-1, ELEMENTS) ** 2, 2, axis=1)[:, :, None] * np.eye(2 * ELEMENTS)
+    noise = own if data.covariance is None else data.covariance
+    noise = noise + (part * size)[:, None, None] ** 2 * np.eye(2 * ELEMENTS)
     noise = noise * by_row[:, :, None] * by_row[:, None, :]
     floor = float(np.sqrt(np.mean((noise_floor * size * weight) ** 2)))
     return _Problem(s, y, weight, noise, floor, "covariance", noise_floor)

@@ -37,13 +37,13 @@ class DqData(NamedTuple):
         Standard deviation of the real and of the imaginary part (S), smoothed: what weights are made from. None if no
         row has a covariance.
     covariance : (n, 8, 8) float or None
-        Covariance over (re, im) of dd, dq, qd, qq (S^2), as measured.
+        Covariance over (re, im) of dd, dq, qd, qq (S^2), as measured; None: that of ``std``, or unknown as well.
     """
 
     nu_hz: np.ndarray
     y: np.ndarray
     std: np.ndarray | None
-    covariance: np.ndarray | None
+    covariance: np.ndarray | None = None
 
 
 def to_dq(response: FrequencyResponse) -> DqData:
@@ -87,7 +87,7 @@ def _with_noise(nu_hz: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> DqD
     std = np.sqrt(np.maximum(_mean_variance(covariance), 0.0))
     known = np.isfinite(covariance).all(axis=(1, 2)) & (std > 0.0).all(axis=1)
     if not np.any(known):
-        return DqData(nu_hz, y, None, None)
+        return DqData(nu_hz, y, None)
     size = np.linalg.norm(y, axis=(1, 2))[:, None]
     relative = np.where(known[:, None], std / size, np.median((std / size)[known], axis=0))
     assumed = np.repeat((relative * size) ** 2, 2, axis=1)[:, :, None] * np.eye(2 * ELEMENTS)
