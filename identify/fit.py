@@ -24,37 +24,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .frames import T_INVERSE, T, dq_to_pn, pn_to_dq
+from .folded import ELEMENTS, DqData, to_dq
+from .frames import dq_to_pn
 from .response import FrequencyResponse
 
 MIN_POINTS = 8
 """Fewest usable rows a model is made from."""
 
-_ELEMENTS = 4
 _FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
 _NEAR = 1e-3  # poles closer than this, relatively, count as coinciding
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
+_ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
+_FEIGNED = 18.0  # chi-squared that a pair of poles sought over the band gains from noise alone, on average
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
+_EXPLAINED = 1.5  # misfits up to this multiple of the given variances are left to a factor
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
-class DqData(NamedTuple):
-    """Usable rows in the dq frame, folded to positive frequency.
+class Rational(NamedTuple):
+    """Poles (m,), residues (m, 2, 2), D and E (2, 2) of a rational function, as in `RationalModel`."""
 
-    Attributes
-    ----------
-    nu_hz : (n,) float
-        Frequency seen from the rotating frame, |f - f1| (Hz), ascending.
-    y : (n, 2, 2) complex
-        Admittance in the dq frame (S).
-    std : (n, 2, 2) float or None
-        Standard deviation of the real and of the imaginary part (S); None if no row has a covariance.
-    """
-
-    nu_hz: np.ndarray
-    y: np.ndarray
-    std: np.ndarray | None
+    poles: np.ndarray
+    residues: np.ndarray
+    d: np.ndarray
+    e: np.ndarray
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +63,6 @@ class RationalModel:
         In rad/s, dq frame: real ones first, then the upper halves of the pairs, then their conjugates.
     residues : (m, 2, 2) complex
         In S rad/s, same order as ``poles``.
-    full_residues : (m, 2, 2) complex
-        The residues before ranks were cut.
     d, e : (2, 2) float
         Constant (S) and slope (S s); zero unless the data ask for them.
     tail : 0, 1 or 2
@@ -88,9 +80,15 @@ class RationalModel:
         What the points were weighted with.
     nu_hz : (n,) float
         Frequencies that were fitted, |f - f1| (Hz).
+    weight : (n, 4) float
+        What dd, dq, qd, qq of every fitted row were weighted with (1/S).
     covariance_root : (k, k) float
         F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
         poles have parameters of which only combinations are known: multiply F first, square then.
+    rival : Rational or None
+        The fit with one pair more, which the data do not pay for. None where it gains no more than noise would give.
+    rival_share : float
+        Which part of the difference to the rival is taken as one more error of the model, as a standard deviation.
     pole_std : (m,) complex
         Standard errors of the poles, real part + 1j imaginary part (rad/s).
     notes : tuple of str
@@ -100,7 +98,6 @@ class RationalModel:
     f1_hz: float
     poles: np.ndarray
     residues: np.ndarray
-    full_residues: np.ndarray
     d: np.ndarray
     e: np.ndarray
     tail: int
@@ -110,7 +107,10 @@ class RationalModel:
     noise_floor: float
     weighting: str
     nu_hz: np.ndarray
+    weight: np.ndarray
     covariance_root: np.ndarray
+    rival: Rational | None
+    rival_share: float
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
 
@@ -125,10 +125,10 @@ class RationalModel:
         return int(np.sum(self.ranks[self.poles.real > 0.0]))
 
 
-def evaluate(model: RationalModel, s: np.ndarray) -> np.ndarray:
+def evaluate(model: RationalModel | Rational, s: np.ndarray) -> np.ndarray:
     """Ydq (n, 2, 2) in S at complex frequencies ``s`` (n,) in rad/s, dq frame."""
     s = np.atleast_1d(np.asarray(s, dtype=complex))
-    strictly_proper = (1.0 / (s[:, None] - model.poles)) @ model.residues.reshape(-1, _ELEMENTS)
+    strictly_proper = (1.0 / (s[:, None] - model.poles)) @ model.residues.reshape(-1, ELEMENTS)
     return strictly_proper.reshape(-1, 2, 2) + model.d + s[:, None, None] * model.e
 
 
@@ -148,31 +148,75 @@ def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndar
 
     ``s`` is (n,) in rad/s, ``weight`` (n, 2, 2). The parameters are: real poles, real parts of the pairs, imaginary
     parts of the pairs; then for each element dd, dq, qd, qq its coefficients: real poles, Re and Im of the pairs'
-    residues, D and E if they are there. Taken where the fit was, before ranks were cut, as the covariance is.
+    residues, D and E if they are there.
     """
     n_real, n_pair = _counts(model.poles)
-    slopes = np.einsum("nij,kij->nk", weight, model.full_residues) / (s[:, None] - model.poles) ** 2
+    slopes = np.einsum("nij,kij->nk", weight, model.residues) / (s[:, None] - model.poles) ** 2
     upper, lower = slopes[:, n_real : n_real + n_pair], slopes[:, n_real + n_pair :]
     rows = _basis(s, model.poles[: n_real + n_pair], model.tail)
-    coefficients = weight.reshape(-1, _ELEMENTS, 1) * rows[:, None, :]
+    coefficients = weight.reshape(-1, ELEMENTS, 1) * rows[:, None, :]
     by_pole = [slopes[:, :n_real], upper + lower, 1j * (upper - lower)]
     return np.concatenate([*by_pole, coefficients.reshape(len(s), -1)], axis=1)
 
 
-def to_dq(response: FrequencyResponse) -> DqData:
-    """Rows with status "ok" and finite values, in the dq frame at nu > 0; rows at f1 itself are left out."""
-    usable = response.ok & np.isfinite(response.y).all(axis=(1, 2))
-    y, nu_hz = response.y[usable], response.f_hz[usable]
-    covariance = np.asarray(response.covariance)[usable]
-    if response.frame == "pn":
-        nu_hz = nu_hz - response.f1_hz
-        y = pn_to_dq(y)
-        turn = _real_form(np.kron(T_INVERSE, T.T))
-        covariance = turn @ covariance @ turn.T
-    y = np.where(nu_hz[:, None, None] < 0.0, y.conj(), y)
-    ascending = np.argsort(np.abs(nu_hz), kind="stable")
-    ascending = ascending[nu_hz[ascending] != 0.0]
-    return DqData(np.abs(nu_hz)[ascending], y[ascending], _standard_deviations(y, covariance, ascending))
+def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
+    """What every fitted row contributes to the variance of ``g @ parameters``: (n,), adding up to one.
+
+    The noise is taken as the weights have it, uncorrelated between elements.
+    """
+    s = 2j * np.pi * model.nu_hz
+    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
+    slopes = np.stack([gradient(model, s, np.broadcast_to(u, (len(s), 2, 2))) for u in units], axis=1)
+    slopes = slopes * model.weight[:, :, None]
+    jacobian = np.concatenate([slopes.real, slopes.imag], axis=1).reshape(-1, len(g))
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    lever = np.linalg.lstsq((jacobian / size).T, g / size, rcond=1e-12)[0]
+    share = np.sum(lever.reshape(len(s), -1) ** 2, axis=1)
+    return share / np.sum(share)
+
+
+def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """What the independent errors of the fit, each of unit variance, do to ``sum_ij weight_ij Ydq_ij(s)``: (n, k + 1).
+
+    The covariance of such sums is that of the columns: ``spread @ spread.T`` for the real parts. ``s`` and ``weight``
+    are those of `gradient`. The last error is the difference to the rival.
+    """
+    by_noise = gradient(model, s, weight) @ model.covariance_root
+    if model.rival is None:
+        return np.append(by_noise, np.zeros((len(s), 1)), axis=1)
+    by_order = np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
+    return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
+
+
+def shifted(model: RationalModel, errors: np.ndarray) -> Rational:
+    """The model as it would be with the independent errors (k + 1,) of `spread`; equal to them to first order.
+
+    Poles move by a factor and residues with their poles: far outside the band only R/|p| is well known, not R and p.
+    """
+    change = model.covariance_root @ errors[:-1]
+    n_real, n_pair = _counts(model.poles)
+    m = n_real + 2 * n_pair
+    upper = _pairs_joined(change[:m], n_real, n_pair)
+    moved = np.concatenate([upper, upper[n_real:].conj()])
+    by_factor = np.abs(moved) < np.abs(model.poles)  # not a pole at zero
+    relative = np.where(by_factor, moved, 0.0) / np.where(by_factor, model.poles, 1.0)
+    residues, d, e = _parts(n_real, n_pair, model.tail, change[m:].reshape(ELEMENTS, -1))
+    own = residues - model.residues * relative.real[:, None, None]
+    poles = np.where(by_factor, model.poles * np.exp(relative), model.poles + moved)
+    residues = (model.residues + own) * np.exp(relative.real)[:, None, None]
+    near = Rational(poles, residues, model.d + d, model.e + e)
+    return near if model.rival is None else _towards(near, model, model.rival, model.rival_share * float(errors[-1]))
+
+
+def _towards(near: Rational, model: RationalModel, rival: Rational, part: float) -> Rational:
+    """``near + part * (rival - model)``."""
+    return Rational(
+        np.concatenate([near.poles, model.poles, rival.poles]),
+        np.concatenate([near.residues, -part * model.residues, part * rival.residues]),
+        near.d + part * (rival.d - model.d),
+        near.e + part * (rival.e - model.e),
+    )
 
 
 def fit_response(
@@ -220,7 +264,12 @@ def fit_response(
         )
     problem = _problem(data, noise_floor)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
-    trial = _refine(problem, _select_order(problem, max_order, start))
+    trial = _select_order(problem, max_order, start)
+    part = _unexplained_part(problem, trial)
+    if part is not None:
+        problem = _problem(data, noise_floor, part)
+        trial = _select_order(problem, max_order, start)
+    trial = _refine(problem, trial)
     problem, trial, notes = _drop_outliers(problem, trial)
     trial = _prune(problem, trial)
     trial, removed = _drop_faint_instability(problem, trial)
@@ -251,11 +300,16 @@ def fit_poles(data: DqData, poles: np.ndarray, *, f1_hz: float, noise_floor: flo
 
 
 class _Problem(NamedTuple):
-    """Weighted data in one shape: s (n,) rad/s, y (4, n) S, weight (4, n), floor in units of the weighted misfit."""
+    """Weighted data in one shape: s (n,) rad/s, y (4, n) S, weight (4, n), floor in units of the weighted misfit.
+
+    ``noise`` (n, 8, 8) is the covariance of the weighted data over (re, im) of each element, to a factor; None where
+    only the misfit can tell.
+    """
 
     s: np.ndarray
     y: np.ndarray
     weight: np.ndarray
+    noise: np.ndarray | None
     floor: float
     weighting: str
     noise_floor: float
@@ -270,16 +324,51 @@ class _Trial(NamedTuple):
     bic: float
 
 
-def _problem(data: DqData, noise_floor: float) -> _Problem:
+def _problem(data: DqData, noise_floor: float, part: float | None = None) -> _Problem:
+    """Weights from the noise and, beside it, a ``part`` of Y (default: the noise floor) in every number."""
+    part = noise_floor if part is None else part
     size = np.linalg.norm(data.y, axis=(1, 2)) / 2.0
     s = 2j * np.pi * data.nu_hz
-    y = data.y.reshape(-1, _ELEMENTS).T
+    y = data.y.reshape(-1, ELEMENTS).T
     if data.std is None:
         weight = np.broadcast_to(1.0 / size, y.shape)
-        return _Problem(s, y, weight, noise_floor, "relative", noise_floor)
-    std = np.maximum(data.std.reshape(-1, _ELEMENTS).T, noise_floor * size)
-    floor = float(np.sqrt(np.mean((noise_floor * size / std) ** 2)))
-    return _Problem(s, y, 1.0 / std, floor, "covariance", noise_floor)
+        return _Problem(s, y, weight, None, noise_floor, "relative", noise_floor)
+    weight = 1.0 / np.hypot(data.std.reshape(-1, ELEMENTS).T, part * size)
+    by_row = np.repeat(weight.T, 2, axis=1)
+    own = np.repeat(data.std.reshape(-1, ELEMENTS) ** 2, 2, axis=1)[:, :, None] * np.eye(2 * ELEMENTS)
+    noise = own if data.covariance is None else data.covariance
+    noise = noise + (part * size)[:, None, None] ** 2 * np.eye(2 * ELEMENTS)
+    noise = noise * by_row[:, :, None] * by_row[:, None, :]
+    floor = float(np.sqrt(np.mean((noise_floor * size * weight) ** 2)))
+    return _Problem(s, y, weight, noise, floor, "covariance", noise_floor)
+
+
+def _unexplained_part(problem: _Problem, trial: _Trial) -> float | None:
+    """The part of Y that the misfit has beyond its covariances; None if a factor on them describes it as well.
+
+    A model never fits to better than some part of Y, but covariances may say that some rows are known far better.
+    Compared are two variances of the misfit, v the given one and u = size^2: factor * v, and v + part^2 * u.
+    """
+    if problem.noise is None:
+        return None
+    n = len(problem.s)
+    misfit = _linear(problem, trial.poles, trial.tail).misfit
+    used = (_order(trial.poles) + ELEMENTS * (_order(trial.poles) + trial.tail)) / misfit.size
+    squared = (misfit[:, :n] ** 2 + misfit[:, n:] ** 2) / 2.0 / max(1.0 - used, 1e-3)
+    variance = np.einsum("nii->in", problem.noise).reshape(ELEMENTS, 2, n).mean(axis=1)
+    unit = np.sum(np.abs(problem.y) ** 2, axis=0) / ELEMENTS * problem.weight**2
+    factor = float(np.mean(squared / variance))
+    if factor < _EXPLAINED:
+        return None
+    low, high = -16.0, 2.0  # log10 of the part
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        too_small = np.mean(squared / (variance + 100.0**middle * unit)) > 1.0
+        low, high = (middle, high) if too_small else (low, middle)
+    part = 10.0**high
+    added, multiplied = variance + part**2 * unit, factor * variance
+    gain = np.sum(np.log(multiplied / added) + squared * (1.0 / multiplied - 1.0 / added))
+    return part if gain > np.log(2 * problem.y.size) else None
 
 
 # Order ---------------------------------------------------------------------------------------------------------
@@ -349,6 +438,7 @@ def _without_row(problem: _Problem, trial: _Trial, k: int) -> tuple[_Problem, _T
         s=np.delete(problem.s, row),
         y=np.delete(problem.y, row, axis=1),
         weight=np.delete(problem.weight, row, axis=1),
+        noise=None if problem.noise is None else np.delete(problem.noise, row, axis=0),
     )
     with_pole = _refine(rest, _trial(rest, trial.poles, trial.tail))
     without = _refine(rest, _trial(rest, np.delete(trial.poles, k), trial.tail))
@@ -376,7 +466,7 @@ def _relative_misfit(problem: _Problem, trial: _Trial) -> float:
     n = len(problem.s)
     misfit = _linear(problem, trial.poles, trial.tail).misfit
     absolute = (misfit[:, :n] ** 2 + misfit[:, n:] ** 2) / problem.weight**2
-    size = np.sum(np.abs(problem.y) ** 2, axis=0) / _ELEMENTS
+    size = np.sum(np.abs(problem.y) ** 2, axis=0) / ELEMENTS
     return float(np.sqrt(np.mean(absolute / size) / 2.0))
 
 
@@ -412,7 +502,7 @@ def _floor_cost(problem: _Problem) -> float:
 def _bic(problem: _Problem, cost: float, n_poles: int, tail: int) -> float:
     """N ln(misfit^2 + floor^2) + parameters ln N; a pole's place, sought over the whole band, counts threefold."""
     n = 2 * problem.y.size
-    parameters = _SEARCHED * n_poles + _ELEMENTS * (n_poles + tail)
+    parameters = _SEARCHED * n_poles + ELEMENTS * (n_poles + tail)
     return n * float(np.log(cost / n + problem.floor**2)) + parameters * float(np.log(n))
 
 
@@ -462,7 +552,7 @@ def _relocate(problem: _Problem, poles: np.ndarray, tail: int) -> np.ndarray | N
     m = _order(poles)
     sigma = np.append(phi[:, :m], np.ones((len(problem.s), 1)), axis=1)
     block = (
-        np.concatenate([np.broadcast_to(phi, (_ELEMENTS, *phi.shape)), -problem.y[:, :, None] * sigma], axis=2)
+        np.concatenate([np.broadcast_to(phi, (ELEMENTS, *phi.shape)), -problem.y[:, :, None] * sigma], axis=2)
         * problem.weight[:, :, None]
     )
     factor = np.asarray(np.linalg.qr(_stack(block), mode="r"))
@@ -564,8 +654,13 @@ def _refine(problem: _Problem, trial: _Trial, n_iterations: int = 10) -> _Trial:
 
 def _moved(poles: np.ndarray, step: np.ndarray) -> np.ndarray:
     n_real, n_pair = _counts_upper(poles)
-    moved = poles + np.concatenate([step[:n_real], step[n_real : n_real + n_pair] + 1j * step[n_real + n_pair :]])
+    moved = poles + _pairs_joined(step, n_real, n_pair)
     return _separated(np.where(poles.imag == 0.0, moved.real + 0j, moved))
+
+
+def _pairs_joined(step: np.ndarray, n_real: int, n_pair: int) -> np.ndarray:
+    """Real parameters of poles as complex numbers: the real ones, then the upper halves of the pairs."""
+    return np.concatenate([step[:n_real], step[n_real : n_real + n_pair] + 1j * step[n_real + n_pair :]])
 
 
 def _separated(poles: np.ndarray) -> np.ndarray:
@@ -606,17 +701,18 @@ def _model(
 ) -> RationalModel:
     linear = _linear(problem, trial.poles, trial.tail)
     cut = _uncut(trial, linear) if whole_ranks else _cut_ranks(problem, trial, linear)
-    residues, d, e = _parts(trial, cut.coefficients)
     n_real, n_pair = _counts_upper(trial.poles)
+    residues, d, e = _parts(n_real, n_pair, trial.tail, cut.coefficients)
     m = n_real + 2 * n_pair
     root = _covariance_root(problem, trial, linear)
+    root[m:] = cut.kept @ root[m:]
+    rival, rival_share = (None, 0.0) if whole_ranks else _rival(problem, trial)
     std = np.linalg.norm(root[:m], axis=1)
     pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
     model = RationalModel(
         f1_hz=f1_hz,
         poles=np.concatenate([trial.poles, trial.poles[n_real:].conj()]),
         residues=_truncated(residues, cut.ranks),
-        full_residues=_parts(trial, linear.coefficients)[0],
         d=d,
         e=e,
         tail=trial.tail,
@@ -626,21 +722,44 @@ def _model(
         noise_floor=problem.noise_floor,
         weighting=problem.weighting,
         nu_hz=problem.s.imag / (2.0 * np.pi),
+        weight=problem.weight.T,
         covariance_root=root,
+        rival=rival,
+        rival_share=rival_share,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
     )
     return _with_sign_notes(model)
 
 
-def _parts(trial: _Trial, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rival(problem: _Problem, trial: _Trial) -> tuple[Rational | None, float]:
+    """The fit with one pair more, and the share of its difference that counts as an error.
+
+    A mode just too faint to pay is no noise: left out, it moves the others. The squared share is the part of the
+    rival's gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
+    """
+    room = _order(trial.poles) + 2 <= (len(problem.s) - 1) // 2
+    if trial.cost < 4.0 * _floor_cost(problem) or not room:
+        return None, 0.0
+    more = _vector_fit(problem, _with_pair(problem, trial), trial.tail, n_iterations=4)
+    more = _refine(problem, more, n_iterations=3)
+    n_real, n_pair = _counts_upper(more.poles)
+    linear = _linear(problem, more.poles, more.tail)
+    gain = (trial.cost - more.cost) / _variance(problem, more, linear)
+    if gain <= _FEIGNED:
+        return None, 0.0
+    residues, d, e = _parts(n_real, n_pair, more.tail, linear.coefficients)
+    rival = Rational(np.concatenate([more.poles, more.poles[n_real:].conj()]), residues, d, e)
+    return rival, float(np.sqrt(1.0 - _FEIGNED / gain))
+
+
+def _parts(n_real: int, n_pair: int, tail: int, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residues (m, 2, 2), D and E (2, 2) from the coefficients (4, c)."""
-    n_real, n_pair = _counts_upper(trial.poles)
     m = n_real + 2 * n_pair
     x = coefficients.T.reshape(-1, 2, 2)
     pair = x[n_real : n_real + n_pair] + 1j * x[n_real + n_pair : m]
-    tail = np.concatenate([x[m:], np.zeros((2 - trial.tail, 2, 2))])
-    return np.concatenate([x[:n_real].astype(complex), pair, pair.conj()]), tail[0], tail[1]
+    ends = np.concatenate([x[m:], np.zeros((2 - tail, 2, 2))])
+    return np.concatenate([x[:n_real].astype(complex), pair, pair.conj()]), ends[0], ends[1]
 
 
 def _variance(problem: _Problem, trial: _Trial, linear: _Linear) -> float:
@@ -655,33 +774,77 @@ def _inverse_r(linear: _Linear) -> np.ndarray:
 
 
 def _covariance_root(problem: _Problem, trial: _Trial, linear: _Linear) -> np.ndarray:
-    """Root of the covariance of poles and coefficients: the Gauss-Newton inverse, scaled by the misfit."""
+    """Root of the covariance of poles and coefficients: their least squares' response to the noise of the data.
+
+    Weights need not be those of the noise, and noise is correlated between elements: the error is R^-1 Q^T noise, and
+    its covariance R^-1 (Q^T cov Q) R^-T.
+    """
     jacobian, inside = _projected_jacobian(problem, trial, linear)
     m, c = jacobian.shape[1], linear.r.shape[1]
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0.0] = 1.0
-    _, singular, vh = np.linalg.svd(jacobian / size, full_matrices=False)
+    u, singular, vh = np.linalg.svd(jacobian / size, full_matrices=False)
     poles = vh.T / np.maximum(singular, 1e-13 * singular.max(initial=0.0)) / size[:, None]
     r_inverse = _inverse_r(linear)
-    root = np.zeros((m + _ELEMENTS * c,) * 2)
+    root = np.zeros((m + ELEMENTS * c,) * 2)
     root[:m, :m] = poles
-    root[m:, :m] = -(r_inverse @ (inside @ poles)).reshape(_ELEMENTS * c, m)
+    root[m:, :m] = -(r_inverse @ (inside @ poles)).reshape(ELEMENTS * c, m)
     root[m:, m:] = _block_diagonal(r_inverse)
-    return np.sqrt(_variance(problem, trial, linear)) * root
+    directions = np.concatenate([u.reshape(*linear.misfit.shape, m), _block_columns(linear.q)], axis=2)
+    return root @ _noise_root(problem, linear, directions)
+
+
+def _noise_root(problem: _Problem, linear: _Linear, directions: np.ndarray) -> np.ndarray:
+    """Root (k, k) of the covariance of the noise along orthonormal ``directions`` (4, 2n, k)."""
+    n, k = len(problem.s), directions.shape[2]
+    by_row = directions.reshape(ELEMENTS, 2, n, k).transpose(2, 0, 1, 3).reshape(n, 2 * ELEMENTS, k)
+    if problem.noise is None:
+        noise = _noise_of_misfit(linear, by_row)
+    else:
+        noise = _noise_of_table(problem.noise, linear, by_row)
+    spread = np.tensordot(by_row, noise @ by_row, axes=([0, 1], [0, 1]))
+    variance, axes = np.linalg.eigh(spread)
+    return axes * np.sqrt(np.maximum(variance, (1e-3 * problem.floor) ** 2))
+
+
+def _noise_of_table(noise: np.ndarray, linear: _Linear, by_row: np.ndarray) -> np.ndarray:
+    """(n, 8, 8): the table's covariances, scaled so that they explain the misfit."""
+    left = np.einsum("nii->", noise) - np.sum(by_row * (noise @ by_row))
+    return noise * (linear.cost / left)
+
+
+def _noise_of_misfit(linear: _Linear, by_row: np.ndarray) -> np.ndarray:
+    """(n, 8, 8): the misfit's own covariance, averaged over neighbouring rows; what the fit took is given back."""
+    n = len(by_row)
+    taken = np.minimum(np.sum(by_row**2, axis=2), 0.9)
+    misfit = linear.misfit.reshape(ELEMENTS, 2, n).transpose(2, 0, 1).reshape(n, -1) / np.sqrt(1.0 - taken)
+    total = np.concatenate([np.zeros((1, 8, 8)), np.cumsum(misfit[:, :, None] * misfit[:, None, :], axis=0)])
+    half = min(_ALIKE, n) // 2
+    first = np.clip(np.arange(n) - half, 0, n - 2 * half)
+    return (total[first + 2 * half] - total[first]) / (2 * half)
+
+
+def _block_columns(blocks: np.ndarray) -> np.ndarray:
+    """(4, n, c) to (4, n, 4 c): block e in columns of its own."""
+    e, n, c = blocks.shape
+    full = np.zeros((e, n, e, c))
+    full[np.arange(e), :, np.arange(e), :] = blocks
+    return full.reshape(e, n, e * c)
 
 
 # The rank of the residues ------------------------------------------------------------------------------------------
 
 
 class _Cut(NamedTuple):
-    """Coefficients (4, c) with some residues made singular, and the ranks (m,)."""
+    """Coefficients (4, c) with some residues made singular, the ranks (m,), and what was kept of a change (4c, 4c)."""
 
     coefficients: np.ndarray
     ranks: np.ndarray
+    kept: np.ndarray
 
 
 def _uncut(trial: _Trial, linear: _Linear) -> _Cut:
-    return _Cut(linear.coefficients, np.full(_order(trial.poles), 2))
+    return _Cut(linear.coefficients, np.full(_order(trial.poles), 2), np.eye(linear.coefficients.size))
 
 
 def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:
@@ -694,10 +857,11 @@ def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:
     r_inverse = _inverse_r(linear)
     covariance = _variance(problem, trial, linear) * _block_diagonal(r_inverse @ np.swapaxes(r_inverse, 1, 2))
     x = linear.coefficients.ravel()
+    kept = np.eye(len(x))
     open_ones = set(range(n_real + n_pair))
     penalty = float(np.log(2 * problem.y.size))
     while open_ones:
-        weights = {k: _second_direction(trial, x.reshape(_ELEMENTS, -1), k) for k in open_ones}
+        weights = {k: _second_direction(trial, x.reshape(ELEMENTS, -1), k) for k in open_ones}
         price = {k: _price(w, x, covariance) / len(w) for k, w in weights.items()}
         k = min(price, key=lambda at: price[at])
         if price[k] > penalty:
@@ -705,15 +869,16 @@ def _cut_ranks(problem: _Problem, trial: _Trial, linear: _Linear) -> _Cut:
         w = weights[k]
         lever = np.linalg.solve(w @ covariance @ w.T, w @ covariance).T
         x, covariance = x - lever @ (w @ x), covariance - lever @ (w @ covariance)
+        kept -= lever @ (w @ kept)
         open_ones.remove(k)
     ranks = np.array([2 if k in open_ones else 1 for k in range(n_real + n_pair)], dtype=int)
-    return _Cut(x.reshape(_ELEMENTS, -1), np.append(ranks, ranks[n_real:]))
+    return _Cut(x.reshape(ELEMENTS, -1), np.append(ranks, ranks[n_real:]), kept)
 
 
 def _second_direction(trial: _Trial, coefficients: np.ndarray, k: int) -> np.ndarray:
     """Rows (1 or 2, 4c) that read Re and Im of the second singular direction of residue k."""
     n_real, n_pair = _counts_upper(trial.poles)
-    u, _, vh = np.linalg.svd(_parts(trial, coefficients)[0][k])
+    u, _, vh = np.linalg.svd(_parts(n_real, n_pair, trial.tail, coefficients)[0][k])
     direction = np.kron(u[:, 1].conj(), vh[1].conj())
     rows = np.zeros((1 if k < n_real else 2, *coefficients.shape))
     rows[0, :, k] = direction.real
@@ -787,22 +952,3 @@ def _order(poles: np.ndarray) -> int:
 def _stack(block: np.ndarray) -> np.ndarray:
     """(4, n, c) complex to (4, 2n, c) real: real parts above imaginary parts."""
     return np.concatenate([block.real, block.imag], axis=1)
-
-
-def _real_form(matrix: np.ndarray) -> np.ndarray:
-    """A complex (4, 4) map as a real one (8, 8) on (re, im) of each element."""
-    real = np.zeros((2 * _ELEMENTS, 2 * _ELEMENTS))
-    real[0::2, 0::2], real[0::2, 1::2] = matrix.real, -matrix.imag
-    real[1::2, 0::2], real[1::2, 1::2] = matrix.imag, matrix.real
-    return real
-
-
-def _standard_deviations(y: np.ndarray, covariance: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
-    """(n, 2, 2) standard deviations of the chosen rows; a row without covariance takes the others' median."""
-    variance = np.einsum("nii->ni", covariance[rows])
-    std = np.sqrt(np.maximum((variance[:, 0::2] + variance[:, 1::2]) / 2.0, 0.0)).reshape(-1, 2, 2)
-    known = np.isfinite(std).all(axis=(1, 2)) & (std > 0.0).all(axis=(1, 2))
-    if not np.any(known):
-        return None
-    size = np.linalg.norm(y[rows], axis=(1, 2))[:, None, None]
-    return np.where(known[:, None, None], std, np.median((std / size)[known], axis=0) * size)

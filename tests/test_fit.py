@@ -142,7 +142,6 @@ def test_standard_errors_of_the_poles_are_calibrated() -> None:
 
 def test_gradient_is_the_derivative_of_the_model() -> None:
     model = fit_response(turbine(noise=1e-3))
-    model = replace(model, residues=model.full_residues)
     s, weight = np.array([0.3 + 170j]), np.array([[[0.7, 0.2j], [-0.4, 1.1 - 0.3j]]])
 
     def weighed(m: RationalModel) -> complex:

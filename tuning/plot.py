@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..identify.fit import RationalModel, evaluate_pn
-from .result import PointTuning, TuningResult
-from .siso import Grid, siso
+from .intervals import NORMAL_95, relative_error_of_y1
+from .result import PointTuning, TuningResult, with_doubt
+from .siso import Grid, Siso, siso
 from .stability import swept_band
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 _DEVICE = "C0"
 _GRID = "C3"
 _STYLE = {"lw": 1.3}
+_VISIBLE = 0.01  # relative half width below which a band is no wider than the line
+_REGION = 2e-3  # width of a pole's 95 % region, relative to the pole, from which on it is drawn
 
 
 def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None) -> None:
@@ -88,12 +91,14 @@ def _draw_bode(axes: Sequence[Axes], point: PointTuning, grid: Grid) -> None:
     f = np.concatenate([np.geomspace(low, high, 1200), grid.f1_hz - about_f1, grid.f1_hz + about_f1])
     f = np.unique(f[(f >= low) & (f <= high)])
     pair = siso(f, evaluate_pn(model, f), grid)
+    _draw_doubt(axes[0], axes[1], model, grid, f, pair)
     drawn = ((1, pair.y1, pair.yg1), (2, pair.y2, pair.yg2))
     for (magnitude, phase), (component, device, seen) in zip((axes[0:2], axes[2:4]), drawn, strict=True):
         _draw_pair(magnitude, phase, f, device, seen, component)
         for crossing in stability.crossings:
             if crossing.component == component:
-                _mark_crossing(magnitude, phase, crossing.f_hz, crossing.m, crossing == stability.critical)
+                critical = crossing == stability.critical
+                _mark_crossing(magnitude, phase, crossing.f_hz, _m_text(point, crossing.m, critical), critical)
     axes[-1].set_xlabel("Frequency (Hz)")
     axes[-1].set_xlim(f[0], f[-1])
 
@@ -113,12 +118,32 @@ def _draw_pair(magnitude: Axes, phase: Axes, f: np.ndarray, device: np.ndarray, 
     phase.grid(True, which="both", alpha=0.25)
 
 
-def _mark_crossing(magnitude: Axes, phase: Axes, f_hz: float, m: float, critical: bool) -> None:
+def _draw_doubt(magnitude: Axes, phase: Axes, model: RationalModel, grid: Grid, f: np.ndarray, pair: Siso) -> None:
+    """95 % bands of Y1, where they are wide enough to be seen; those of Y2 are their mirror images."""
+    modulus, angle = (NORMAL_95 * x for x in relative_error_of_y1(model, grid, f))
+    if np.quantile(modulus, 0.9) < _VISIBLE:
+        return
+    y1, modulus = np.abs(pair.y1), np.minimum(modulus, 1.0)  # near f1 it is anyone's guess
+    band: dict[str, Any] = {"color": _DEVICE, "alpha": 0.25, "lw": 0.0}
+    magnitude.fill_between(f, y1 * np.exp(-modulus), y1 * np.exp(modulus), label="95 %", **band)
+    difference = np.degrees(np.angle(pair.y1 / pair.yg1)) % 360.0
+    wide = np.degrees(np.minimum(angle, np.pi))
+    phase.fill_between(f, np.maximum(difference - wide, 0.0), np.minimum(difference + wide, 360.0), **band)
+
+
+def _m_text(point: PointTuning, m: float, critical: bool) -> str:
+    """The margin at a crossing where it matters, with its interval at the critical one."""
+    if critical:
+        return "m = " + with_doubt(m, point.margin_interval, 2).replace("+-", "$\\pm$")
+    return f"m = {m:.2f}" if m < 1.0 else ""
+
+
+def _mark_crossing(magnitude: Axes, phase: Axes, f_hz: float, m_text: str, critical: bool) -> None:
     color = "C1" if critical else "0.45"
     magnitude.axvline(f_hz, color=color, lw=0.9, ls=":")
     phase.plot([f_hz], [180.0], "o", color=color, ms=4)
-    if critical or m < 1.0:
-        text = f"{f_hz:.2f} Hz\nm = {m:.2f}"
+    if m_text:
+        text = f"{f_hz:.2f} Hz\n{m_text}"
         magnitude.annotate(
             text,
             (f_hz, 0.04),
@@ -173,6 +198,7 @@ def _draw_poles(axes: Axes, point: PointTuning) -> None:
     )
     if loop.critical is not None:
         pole = loop.poles[loop.critical]
+        _draw_region(axes, complex(pole), loop.covariance[loop.critical])
         text = f"{pole.real:+.2f} rad/s, {loop.f_hz[loop.critical]:.2f} Hz\ndamping {loop.damping[loop.critical]:.1%}"
         axes.annotate(
             text,
@@ -188,3 +214,29 @@ def _draw_poles(axes: Axes, point: PointTuning) -> None:
     axes.set_ylabel("|Im|/2$\\pi$ in dq (Hz)")
     axes.set_title("Closed-loop poles, two standard errors", fontsize="medium")
     axes.grid(True, alpha=0.25)
+
+
+def _draw_region(axes: Axes, pole: complex, covariance: np.ndarray) -> None:
+    """The critical pole from near by with its 95 % region, where noise gives it one."""
+    edge = _region(pole, covariance)
+    width, height = np.ptp(edge.real), np.ptp(edge.imag) / (2.0 * np.pi)
+    if width < _REGION * abs(pole):
+        return
+    near = axes.inset_axes((0.13, 0.1, 0.3, 0.3))
+    near.fill(edge.real, edge.imag / (2.0 * np.pi), color="C1", alpha=0.35, lw=0.0)
+    near.plot([pole.real], [pole.imag / (2.0 * np.pi)], "x", color=_DEVICE, ms=7, mew=1.6)
+    near.axvline(0.0, color="k", lw=0.8)
+    left, right = pole.real - width, pole.real + width
+    near.set_xlim(min(left, -0.1 * width), max(right, 0.1 * width) if pole.real > -3.0 * width else right)
+    near.set_ylim(pole.imag / (2.0 * np.pi) - height, pole.imag / (2.0 * np.pi) + height)
+    near.set_title("95 % region", fontsize="x-small")
+    near.tick_params(labelsize="x-small")
+
+
+def _region(pole: complex, covariance: np.ndarray) -> np.ndarray:
+    """Edge (n,) of the 95 % ellipse of a pole, complex (rad/s)."""
+    variance, axes = np.linalg.eigh(covariance)
+    turn = np.linspace(0.0, 2.0 * np.pi, 90)
+    radius = np.sqrt(-2.0 * np.log(0.05))  # chi-squared with two degrees of freedom
+    x = radius * (axes * np.sqrt(np.maximum(variance, 0.0))) @ np.stack([np.cos(turn), np.sin(turn)])
+    return pole + x[0] + 1j * x[1]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, derivative, evaluate, gradient
+from ..identify.fit import RationalModel, derivative, evaluate, spread
 from .siso import Grid, check_fundamental, impedance_dq
 
 RESONANCE_FROM_HZ = 5.0
@@ -38,16 +38,21 @@ class ClosedLoop:
         Fundamental frequency (Hz).
     poles : (m,) complex
         Poles with Im >= 0 (rad/s), largest real part first; the conjugates are implied.
-    std : (m,) complex
-        Standard errors, real part + 1j imaginary part (rad/s).
+    covariance : (m, 2, 2) float
+        Covariance of real and imaginary part ((rad/s)^2).
     beyond : (m,) bool
         Too far outside the swept band to be believed: only the fit's asymptotes speak there.
     """
 
     f1_hz: float
     poles: np.ndarray
-    std: np.ndarray
+    covariance: np.ndarray
     beyond: np.ndarray
+
+    @property
+    def std(self) -> np.ndarray:
+        """(m,) complex standard errors, real part + 1j imaginary part (rad/s)."""
+        return np.sqrt(self.covariance[:, 0, 0]) + 1j * np.sqrt(self.covariance[:, 1, 1])
 
     @property
     def damping(self) -> np.ndarray:
@@ -90,8 +95,8 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     poles = closed_loop_poles(model, grid)
     upper = poles[poles.imag >= 0.0]
     upper = upper[np.argsort(-upper.real)]
-    std = np.array([_standard_error(model, grid, p) for p in upper])
-    return ClosedLoop(model.f1_hz, upper, std, is_beyond(model, upper))
+    covariance = np.array([_covariance(model, grid, p) for p in upper]).reshape(-1, 2, 2)
+    return ClosedLoop(model.f1_hz, upper, covariance, is_beyond(model, upper))
 
 
 def is_beyond(model: RationalModel, poles: np.ndarray) -> np.ndarray:
@@ -136,12 +141,20 @@ def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
     return Shape(left, right, complex(left @ slope @ right))
 
 
-def _standard_error(model: RationalModel, grid: Grid, pole: complex) -> complex:
-    """Delta method: the pole moves by -left dY right / (left M' right)."""
+def mode_weight(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
+    """What a closed-loop pole moves by, but for its sign, when Ydq at the pole changes: (1, 2, 2), as for `gradient`.
+
+    The pole moves by -left dY right / (left M' right).
+    """
     shape = mode_shape(model, grid, pole)
-    weight = np.outer(shape.left, shape.right)[None] / shape.slope
-    g = gradient(model, np.array([pole]), weight)[0]
-    return complex(np.linalg.norm(g.real @ model.covariance_root), np.linalg.norm(g.imag @ model.covariance_root))
+    return np.outer(shape.left, shape.right)[None] / shape.slope
+
+
+def _covariance(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
+    """(2, 2) over Re and Im by the delta method."""
+    errors = spread(model, np.array([pole]), mode_weight(model, grid, pole))[0]
+    effect = np.stack([errors.real, errors.imag])
+    return np.asarray(effect @ effect.T)
 
 
 def _states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

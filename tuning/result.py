@@ -6,6 +6,7 @@ import json
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import floor, log10
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ import numpy as np
 
 from ..identify.fit import RationalModel
 from .gain import GainSearch
+from .intervals import NORMAL_95, Interval
 from .margins import LocusMargins, Participation
 from .siso import Grid
 from .stability import Crossing, Decision, Stability
 
 FORMAT = "seqsweep-tuning"
-VERSION = "1.0.0"
+VERSION = "1.1.0"
 SCHEMA = "seqsweep-tuning-1.schema.json"
 
 
@@ -40,8 +42,12 @@ class PointTuning:
         Winding, crossings, poles.
     margins : LocusMargins or None
         Gain, phase and vector margin of the winding locus.
+    margin_interval : Interval or None
+        What is known of the margin m: standard error and 95 % interval.
     critical_scale, critical_scr : float or None
         Multiplier of the grid impedance at the edge of stability, and the short-circuit ratio there.
+    scale_interval : Interval or None
+        What is known of the critical scale.
     passivity : (float, float) or None
         Smallest passivity index inside the band (S), and the frequency above f1 where it is (Hz).
     participation : Participation or None
@@ -67,7 +73,9 @@ class PointTuning:
     model: RationalModel | None = None
     stability: Stability | None = None
     margins: LocusMargins | None = None
+    margin_interval: Interval | None = None
     critical_scale: float | None = None
+    scale_interval: Interval | None = None
     critical_scr: float | None = None
     passivity: tuple[float, float] | None = None
     participation: Participation | None = None
@@ -204,9 +212,11 @@ def _point_json(point: PointTuning) -> dict[str, Any]:
         "probability": point.probability,
         **_stability_json(point.stability),
         "margin_m": point.margin_m,
+        **_interval_json("margin_m", point.margin_interval),
         "critical_crossing_hz": None if crossing is None else crossing.f_hz,
         "resonance_hz": None if point.resonance_hz is None else list(point.resonance_hz),
         "critical_scale": point.critical_scale,
+        **_interval_json("critical_scale", point.scale_interval),
         "critical_scr": point.critical_scr,
         "margins": None if point.margins is None else point.margins._asdict(),
         "passivity": None if point.passivity is None else dict(zip(("index_s", "f_hz"), point.passivity, strict=True)),
@@ -219,6 +229,12 @@ def _point_json(point: PointTuning) -> dict[str, Any]:
         "fit": _fit_json(point.model),
         "warnings": list(point.warnings),
     }
+
+
+def _interval_json(name: str, interval: Interval | None) -> dict[str, Any]:
+    if interval is None:
+        return {f"{name}_std": None, f"{name}_interval": None}
+    return {f"{name}_std": interval.std, f"{name}_interval": [interval.low, interval.high]}
 
 
 def _stability_json(stability: Stability | None) -> dict[str, Any]:
@@ -253,6 +269,7 @@ def _poles_json(stability: Stability) -> list[dict[str, Any]]:
             "im_rad_s": float(pole.imag),
             "re_std_rad_s": float(std.real),
             "im_std_rad_s": float(std.imag),
+            "re_im_cov_rad2_s2": float(loop.covariance[k, 0, 1]),
             "f_hz": float(loop.f_hz[k]),
             "damping": float(loop.damping[k]),
             "kind": kinds.get(k, "other"),
@@ -291,6 +308,8 @@ def format_table(result: TuningResult, width: int = 80) -> str:
     grid = result.grid
     head = f"Z = {grid.r_ohm:.6g} + j{grid.x_ohm:.6g} ohm at {grid.f1_hz:g} Hz, required m = {result.margin_required:g}"
     lines = [*_wrapped(head, width), "", *_aligned(rows, names), ""]
+    if any("+-" in row[name] for row in rows for name in names):
+        lines += _wrapped("+-: 95 % intervals, from the noise of the table's rows", width)
     lines += _wrapped(f"worst operating point: {result.worst.op_id}", width)
     for point in result.points:
         for remark in _remarks(point):
@@ -306,10 +325,10 @@ def _row(point: PointTuning) -> dict[str, str]:
         "op": point.op_id,
         "verdict": point.verdict,
         "P stable": "-" if point.probability is None else f"{point.probability:.3g}",
-        "m": _number(point.margin_m, ".3f"),
+        "m": with_doubt(point.margin_m, point.margin_interval),
         "resonance Hz": "-" if pair is None else f"{pair[0]:.2f}/{pair[1]:.2f}",
         "damping": "-" if damping is None else f"{damping:.1f} %",
-        "Z crit": "-" if point.critical_scale is None else f"x{point.critical_scale:.3f}",
+        "Z crit": "-" if point.critical_scale is None else f"x{with_doubt(point.critical_scale, point.scale_interval)}",
         "SCR crit": _number(point.critical_scr, ".3f"),
         "k": _number(point.k, ".3f"),
         "m predicted": _number(point.margin_m_predicted, ".3f"),
@@ -319,6 +338,17 @@ def _row(point: PointTuning) -> dict[str, str]:
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
+
+
+def with_doubt(value: float | None, interval: Interval | None, digits: int = 3) -> str:
+    """``0.98 +- 0.02``: a number and half its 95 % interval, where that shows in so many digits."""
+    if value is None or interval is None or NORMAL_95 * interval.std < 0.5 * 10.0**-digits:
+        return _number(value, f".{digits}f")
+    if interval.high is None:
+        return f"{value:.{digits}f} (> {interval.low:.2g})"
+    half = (interval.high - interval.low) / 2.0
+    digits = min(digits, max(1, -floor(log10(half))))
+    return f"{value:.{digits}f} +- {half:.{digits}f}"
 
 
 def _remarks(point: PointTuning) -> list[str]:

@@ -14,7 +14,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, evaluate, evaluate_pn, gradient
+from ..identify.fit import RationalModel, evaluate, evaluate_pn, spread
+from .advice import remedy
 from .poles import ClosedLoop, closed_loop
 from .siso import Grid, check_fundamental, impedance_dq, impedance_pn, siso
 
@@ -23,6 +24,8 @@ MAX_STEP_DEG = 30.0
 
 DECIDED = 0.99
 """Probability from which on a verdict is given."""
+
+_DECIDED_AT = 2.326  # standard errors that make it so
 
 LIGHTLY_DAMPED = 0.05
 """Damping ratio below which a mode must lie inside the swept band to be believed."""
@@ -381,10 +384,11 @@ def _det(matrices: np.ndarray) -> np.ndarray:
 
 
 class Doubt(NamedTuple):
-    """Probability of being stable, and where in the dq frame (Hz) the doubt comes from."""
+    """Probability of being stable, where in the dq frame (Hz) the doubt comes from, in how many standard errors."""
 
     probability: float
     nu_hz: float
+    distance: float
 
 
 def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray, stable: bool) -> Doubt:
@@ -397,12 +401,12 @@ def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray,
     distance = locus_distance(model, grid, nu)
     if stable:
         nearest = int(np.argmin(distance))
-        return Doubt(_normal(distance[nearest]), float(nu[nearest]))
+        return Doubt(_normal(distance[nearest]), float(nu[nearest]), float(distance[nearest]))
     unstable = loop.poles[(loop.poles.real > 0.0) & ~loop.beyond]
     about = [np.abs(2.0 * np.pi * nu - p.imag) <= 3.0 * p.real for p in unstable]
     nearest_ones = [int(np.argmin(np.where(a, distance, np.inf))) for a in about if np.any(a)]
     surest = max(nearest_ones, key=lambda k: distance[k], default=int(np.argmin(distance)))
-    return Doubt(_normal(-distance[surest]), float(nu[surest]))
+    return Doubt(_normal(-distance[surest]), float(nu[surest]), float(distance[surest]))
 
 
 def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:
@@ -415,14 +419,14 @@ def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.nd
     z = impedance_dq(grid, s)
     loop = np.eye(2) + evaluate(model, s) @ z
     adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-    slope = gradient(model, s, np.swapaxes(z @ adjugate, 1, 2))
-    real, imag = slope.real @ model.covariance_root, slope.imag @ model.covariance_root
+    errors = spread(model, s, np.swapaxes(z @ adjugate, 1, 2))
+    real, imag = errors.real, errors.imag
     value = _det(loop)
     rounding = 1e-18 * np.sum(np.abs(loop) ** 2, axis=(1, 2)) ** 2  # at nu = 0 the locus is real, and so is its spread
     var_re, var_im = np.sum(real**2, axis=1) + rounding, np.sum(imag**2, axis=1) + rounding
     across = np.sum(real * imag, axis=1)
     squared = var_im * value.real**2 - 2.0 * across * value.real * value.imag + var_re * value.imag**2
-    return np.sqrt(np.maximum(squared, 0.0) / (var_re * var_im - across**2))
+    return np.sqrt(np.maximum(squared, 0.0) / np.maximum(var_re * var_im - across**2, 1e-14 * var_re * var_im))
 
 
 def _normal(x: float) -> float:
@@ -453,7 +457,7 @@ def _decide(
     if 1.0 - DECIDED < doubtful.probability < DECIDED:
         return "undecided", (
             f"the loop is stable with a probability of {doubtful.probability:.1%}; what is missing are more or better "
-            f"points near {_place(model, doubtful.nu_hz)}"
+            f"points near {_place(model, doubtful.nu_hz)}: {_advice(model, grid, loop, doubtful)}"
         )
     decisive = _decisive(loop, stable)
     unseen = [k for k in decisive if not is_swept(model, complex(loop.poles[k]))]
@@ -463,6 +467,17 @@ def _decide(
             "it: sweep there"
         )
     return ("stable" if stable else "unstable"), turns
+
+
+def _advice(model: RationalModel, grid: Grid, loop: ClosedLoop, doubtful: Doubt) -> str:
+    """Which rows, and how many times the periods, would bring the locus as far from zero as a verdict asks."""
+    nearest = complex(loop.poles[np.argmin(np.abs(loop.poles - 2j * np.pi * doubtful.nu_hz))])
+    found = remedy(model, grid, nearest, (doubtful.distance / _DECIDED_AT) ** 2)
+    if found is None:
+        return "the loop is so close to the edge that no affordable number of periods decides"
+    low, high = (model.f1_hz + nu for nu in found.nu_hz)
+    where = f"{low:.4g} to {high:.4g} Hz" if high > low else f"{low:.4g} Hz"
+    return f"about {found.times} times the periods at {where} (mirror images count) would decide"
 
 
 def _place(model: RationalModel, nu_hz: float) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from ..identify.fit import MIN_POINTS, RationalModel, evaluate, evaluate_pn, fit_response, to_dq
 from ..identify.response import FrequencyResponse
 from .gain import gain_for_margin, predicted_crossing
+from .intervals import margin_interval, scale_interval
 from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
 from .operating import grid_warnings
 from .result import PointTuning, TuningResult
@@ -121,7 +122,9 @@ def _judged(
         model=model,
         stability=stability,
         margins=locus_margins(model, grid, stability.winding.nu_hz),
+        margin_interval=None if stability.critical is None else margin_interval(model, grid, stability.critical),
         critical_scale=edge,
+        scale_interval=None if edge is None else scale_interval(model, grid, edge),
         critical_scr=scr,
         passivity=_least_passive(model),
         participation=part,
