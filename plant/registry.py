@@ -153,12 +153,16 @@ def runs_isolated(plant_id: str, wish: bool | None) -> bool:
     Raises
     ------
     PlantError
-        If a black box is wished into the runner, or there is no such plant.
+        If a black box is wished into the runner.
     """
-    _target(plant_id)
     if is_black_box(plant_id) and wish is False:
         raise PlantError(f"plant.isolate = false: {plant_id} is foreign code, which is never loaded in the runner")
     return not is_built_in(plant_id) if wish is None else wish
+
+
+def refuse_unknown_id(plant_id: str) -> None:
+    """Raise `PlantError` if there is no such plant, as far as can be seen without importing anything."""
+    _target(plant_id)
 
 
 def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Plant:

@@ -18,9 +18,10 @@ import numpy as np
 
 from ..identify.table import atomic_file
 from ..plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
-from ..plant.registry import make_plant
+from ..plant.registry import PlantCard
 from .comtrade_file import Encoding
 from .config import Config
+from .isolate import plant_or_card
 from .manifest_file import AMPLITUDE_UNIT, FILE_NAME, Experiment, Manifest, PlayedTone
 from .plan import Condition, Plan, make_plan
 from .playback import SUFFIXES, PlaybackFormat, Waveforms, phases, write_waveforms
@@ -82,7 +83,7 @@ class ExternalDevice:
         raise InjectError(f"{EXTERNAL}: a device that is elsewhere cannot be driven from here")
 
 
-def planned(config: Config, timing: Timing) -> tuple[Plan, Plant]:
+def planned(config: Config, timing: Timing) -> tuple[Plan, Plant | PlantCard]:
     """The plan of a campaign whose plant may be elsewhere.
 
     Raises
@@ -107,10 +108,10 @@ def planned(config: Config, timing: Timing) -> tuple[Plan, Plant]:
     return plan, plant
 
 
-def _plant(config: Config, rate_hz: float) -> Plant:
+def _plant(config: Config, rate_hz: float) -> Plant | PlantCard:
     if config.plant.id == EXTERNAL:
         return _external(config.plant.parameters, rate_hz)
-    return make_plant(config.plant.id, config.plant.parameters)
+    return plant_or_card(config)
 
 
 def _check_timing(timing: Timing) -> None:
@@ -156,7 +157,7 @@ def chosen(plan: Plan, op_id: str | None) -> Condition:
 
 def inject(
     plan: Plan,
-    plant: Plant,
+    plant: Plant | PlantCard,
     condition: Condition,
     folder: Path,
     kind: PlaybackFormat,

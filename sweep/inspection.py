@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..plant.check import Finding, check_plant
-from ..plant.registry import PlantSpec, runs_isolated
+from ..plant.registry import PlantSpec, refuse_unknown_id, runs_isolated
 from .child import ChildFailed, child
 
 CHECK_S = 600.0
@@ -38,6 +38,7 @@ def findings_of(plant_id: str, parameters: Mapping[str, Any] | None = None) -> S
         If there is no such plant, or it cannot be made from these parameters.
     """
     spec = PlantSpec(plant_id, parameters or {})
+    refuse_unknown_id(plant_id)
     if not runs_isolated(plant_id, None):
         return check_plant(spec.make())
     try:

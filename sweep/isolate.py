@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from ..plant.protocol import Plant
-from ..plant.registry import PlantCard, PlantError, PlantSpec, make_plant, runs_isolated
+from ..plant.registry import PlantCard, PlantError, PlantSpec, make_plant, refuse_unknown_id, runs_isolated
 from .child import Child, ChildFailed, child, scratch
 from .config import Config
 from .measure import measure
@@ -35,6 +35,7 @@ def plant_or_card(config: Config) -> Plant | PlantCard:
         If there is no such plant, it cannot be made, or it cannot even say what it is.
     """
     spec = PlantSpec(config.plant.id, config.plant.parameters)
+    refuse_unknown_id(spec.id)
     if not runs_isolated(spec.id, config.plant.isolate):
         return make_plant(spec.id, spec.parameters)
     try:

@@ -79,3 +79,19 @@ def test_verifying_is_done_in_a_child_and_says_the_same(module):
     wrong = call("verify", module / "foreign.json", "--op", "nowhere")
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("no operating point 'nowhere' in the tuning")
+
+
+def test_the_grid_is_probed_in_a_child_and_found_the_same(module):
+    found = []
+    for plant in ("dpmsg-v1", "python:foreign_turbine:Turbine"):
+        campaign = module / "grid.toml"
+        campaign.write_text(
+            f'[campaign]\nname = "grid"\n[plant]\nid = "{plant}"\n[[operating_point]]\nid = "firm"\n'
+            "active_power_mw = 0.4\ngrid = { r_ohm = 0.012, x_ohm = 0.25 }\n[sweep]\nf_hz = [20.0]\n"
+            '[source]\nkind = "thevenin"\n'
+        )
+        done = call("grid", campaign)
+        assert done.returncode == 0, done.stderr
+        found.append(done.stdout)
+    assert found[0] == found[1]
+    assert (module / "importers").exists()
