@@ -435,6 +435,8 @@ def console() -> None:
 
 
 def _status() -> int:
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # matrices are small here: more threads only get in each other's way
     try:
         result = app(standalone_mode=False)
     except _USAGE_ERROR as error:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
 import pytest
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two workers, two cores
 
 PAGE = Path(__file__).parent.parent / "docs" / "evidence.md"
 HEAD = """# Evidence
