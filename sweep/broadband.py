@@ -25,6 +25,10 @@ NEAR = 5
 """Detection lines whose distortion speaks for a line that is played."""
 
 
+SIGNIFICANT = 3.0
+"""Power on silent lines below so many times that of the noise says nothing."""
+
+
 class Heard(NamedTuple):
     """What the lines of a signal show.
 
@@ -137,22 +141,23 @@ def _distortion(plan: Plan, points: Sequence[Frequency], spectra: np.ndarray) ->
     _, silent = detection_lines(plan.signal.cycles)
     if len(silent) < NEAR:
         return np.full(len(points), np.nan)
-    response, distortion = _power(spectra, plan.signal.cycles), _power(spectra, silent)
+    response, _ = _powers(spectra, plan.signal.cycles)
+    distortion, noise = _powers(spectra, silent)
     period_s = points[0].window_blocks * plan.block.duration_s
     levels = []
     for point in points:
         cycles = abs(point.n_periods - round(plan.f1_hz * period_s))
         near = np.argsort(np.abs(np.log(silent / cycles)), kind="stable")[:NEAR]
         played = int(np.searchsorted(plan.signal.cycles, cycles))
-        levels.append(np.sqrt(np.mean(distortion[near]) / response[played]))
+        heard, of_noise = np.mean(distortion[near]), np.mean(noise[near])
+        levels.append(np.sqrt((heard - of_noise) / response[played]) if heard > SIGNIFICANT * of_noise else 0.0)
     return np.array(levels)
 
 
-def _power(spectra: np.ndarray, cycles: np.ndarray) -> np.ndarray:
-    """Power (n,) of the mean over the last periods at both sides of f1, both plays together, less that of the noise."""
+def _powers(spectra: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Power (n,) of the last periods' mean at both sides of f1, both plays together, and what noise adds to it."""
     both = np.stack([spectra[:, -NOISY_WINDOWS:, cycles], spectra[:, -NOISY_WINDOWS:, -cycles]])
-    mean = np.sum(np.abs(both.mean(axis=2)) ** 2, axis=(0, 1))
+    power = np.sum(np.abs(both.mean(axis=2)) ** 2, axis=(0, 1))
     if spectra.shape[1] <= 2:
-        return mean
-    noise = np.sum(np.var(both, axis=2, ddof=1), axis=(0, 1)) / both.shape[2]
-    return np.maximum(mean - noise, 0.0)
+        return power, np.zeros(len(cycles))
+    return power, np.sum(np.var(both, axis=2, ddof=1), axis=(0, 1)) / both.shape[2]
