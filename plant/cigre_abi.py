@@ -229,7 +229,9 @@ def _loaded(path: Path) -> c.CDLL:
     except OSError as error:
         raise CigreError(f"{path} cannot be read: {error.strerror}") from None
     if magic[:2] == b"MZ":
-        raise CigreError(f"{path} is a library for Windows, which this machine cannot load; ask for one built for Linux")
+        raise CigreError(
+            f"{path} is a library for Windows, which this machine cannot load; ask for one built for Linux"
+        )
     try:
         return c.CDLL(str(path.resolve()))
     except OSError as error:
