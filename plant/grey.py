@@ -201,9 +201,8 @@ class GreyTurbine:
 
         self._controller = controller = Controller(self.library, self._settings)
         inputs, outputs, wiring, net, store, quantities = self._surroundings(state)
-        kernel.observe(state.x, state.v_source, state.energy, net, store, quantities)
-        kernel.inform(inputs, wiring, quantities)
-        per = 0.5 * quantities[kernel.V_DC] if self._map.modulated else 1.0
+        v_dc = kernel.inform(inputs, wiring, net, store, quantities, state.x, state.v_source, state.energy)
+        per = 0.5 * v_dc if self._map.modulated else 1.0
         for part in self._map.outputs:
             cells = getattr(outputs, part.type)
             cells[part.cell] = (command * part.direction.conjugate()).real * part.gain / per

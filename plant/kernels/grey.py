@@ -122,7 +122,7 @@ def _called(typing_context, function, argument):
     return types.int32(types.int64, types.int64), code
 
 
-@njit(nogil=True, cache=True)
+@njit(forceinline=True, error_model="numpy")
 def _tell(cells, kind, cell, value):
     if kind == F8:
         cells.f8[cell] = value
@@ -142,7 +142,7 @@ def _tell(cells, kind, cell, value):
         cells.u1[cell] = int(value)
 
 
-@njit(nogil=True, cache=True)
+@njit(forceinline=True, error_model="numpy")
 def _told(cells, kind, cell):
     if kind == F8:
         return cells.f8[cell]
@@ -161,8 +161,8 @@ def _told(cells, kind, cell):
     return float(cells.u1[cell])
 
 
-@njit(nogil=True, cache=True)
-def inform(inputs, wiring, quantities):
+@njit(forceinline=True, error_model="numpy")
+def _inform(inputs, wiring, quantities):
     """Write the controller's inputs from the ``quantities`` (N_QUANTITIES,)."""
     for k in range(len(wiring.in_cell)):
         first = wiring.in_quantity[k]
@@ -170,7 +170,7 @@ def inform(inputs, wiring, quantities):
         _tell(inputs, wiring.in_kind[k], wiring.in_cell[k], value)
 
 
-@njit(nogil=True, cache=True)
+@njit(forceinline=True, error_model="numpy")
 def _command(outputs, wiring):
     u = 0.0j
     for k in range(len(wiring.out_cell)):
@@ -178,8 +178,8 @@ def _command(outputs, wiring):
     return u
 
 
-@njit(nogil=True, cache=True)
-def observe(x, e, energy, network, store, quantities):
+@njit(forceinline=True, error_model="numpy")
+def _observe(x, e, energy, network, store, quantities):
     """What is measured with the states ``x`` under the source voltage ``e``, into ``quantities``; v_pcc and i_g."""
     v, i = network.v_source * e, network.i_source * e
     for k in range(3):
@@ -194,7 +194,7 @@ def observe(x, e, energy, network, store, quantities):
     return v, i
 
 
-@njit(nogil=True, cache=True)
+@njit(forceinline=True, error_model="numpy")
 def _voltage(command, x, v_dc, wiring, store):
     """What the averaged converter makes of a command over one step: v_dc / sqrt(3) phase peak at most."""
     u = command
@@ -205,7 +205,7 @@ def _voltage(command, x, v_dc, wiring, store):
     return u * (limit / size) if size > limit else u
 
 
-@njit(nogil=True, cache=True)
+@njit(forceinline=True, error_model="numpy")
 def _move(x, energy, u, tones, forcing, network, store):
     """States (in place) and energy one step later under the converter voltage ``u`` and the source's ``tones``."""
     x_0, x_1, x_2 = x[0], x[1], x[2]
@@ -220,16 +220,16 @@ def _move(x, energy, u, tones, forcing, network, store):
     return energy + store.dt_s * store.power_w - 1.5 * (u * charge.conjugate()).real
 
 
-@njit(nogil=True, cache=True)
+@njit(forceinline=True, error_model="numpy")
 def _step(box, time, step, inputs, outputs, wiring, network, store, quantities, x, energy, tones, rotations, forcing):
     """One sample: measure, call, hold. Returns v_pcc, i_g, the energy after it and how it ended."""
     e = 0.0j
     for tone in range(len(tones)):
         e += tones[tone]
-    v, i = observe(x, e, energy, network, store, quantities)
+    v, i = _observe(x, e, energy, network, store, quantities)
     time[0] = step * store.dt_s
     quantities[TIME] = time[0]
-    inform(inputs, wiring, quantities)
+    _inform(inputs, wiring, quantities)
     if _called(box[0], box[1]) not in (0, 1):
         return v, i, energy, REFUSED
     command = _command(outputs, wiring)
@@ -244,7 +244,15 @@ def _step(box, time, step, inputs, outputs, wiring, network, store, quantities, 
     return v, i, energy, DONE if energy > 0.0 else EMPTY
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
+def inform(inputs, wiring, network, store, quantities, x, e, energy):
+    """Tell the controller what is measured with the states ``x`` under the source voltage ``e``; v_dc (V)."""
+    _observe(x, e, energy, network, store, quantities)
+    _inform(inputs, wiring, quantities)
+    return quantities[V_DC]
+
+
+@njit(nogil=True, error_model="numpy", cache=True)
 def advance_recording(
     box,
     time,
@@ -316,7 +324,7 @@ def advance_recording(
     return energy, len(v_out), DONE
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, error_model="numpy", cache=True)
 def advance_blocks(
     box,
     time,
