@@ -12,6 +12,7 @@ its power into the DC link is constant, and that is how it appears here.
 from __future__ import annotations
 
 import cmath
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, pi, sqrt
@@ -147,6 +148,7 @@ class GreyTurbine:
             raise ValueError(f"delay_samples is {delay_samples!r}; {self.id} takes 0 or 1")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
         self.library = Library(_path(controller))
+        self.contents = {"controller": _fingerprint(self.library)}
         self.dt_s = _sample_time(self.library, sample_time_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         u = self.parameters.u_rated_v
@@ -342,11 +344,22 @@ class GreyTurbine:
         return "an output"
 
 
+def around_library(path: str, **parameters: Any) -> GreyTurbine:
+    """``cigre:FILE``: `GreyTurbine` with that library; parameters pass through."""
+    return GreyTurbine(f"cigre:{path}", **parameters)
+
+
 def _path(controller: str) -> Path:
     kind, colon, rest = controller.partition(":")
     if not (colon and kind == "cigre" and rest):
         raise CigreError(f"controller is {controller!r}; it must read cigre:FILE, the path of a TB 958 library")
     return Path(rest)
+
+
+def _fingerprint(library: Library) -> dict[str, str]:
+    """What tells this controller from the next one under the same name."""
+    digest = hashlib.sha256(library.path.read_bytes()).hexdigest()
+    return {"name": library.info.name, "version": library.info.version, "sha256": digest}
 
 
 def _sample_time(library: Library, given: float | None) -> float:
