@@ -11,88 +11,31 @@ its power into the DC link is constant, and that is how it appears here.
 
 from __future__ import annotations
 
-import cmath
 import hashlib
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import isfinite, pi, sqrt
+from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from . import dpmsg_equilibrium as stationary
-from . import grey_circuit as circuit
-from .cigre import Controller, ControllerFault, ControllerMemory
+from .branched import Branched, BranchedState, Forwards, Listen, Run, is_whole
+from .branches import Replays
 from .cigre_abi import CigreError, Library
-from .dpmsg_parameters import TABLE_I
-from .protocol import (
-    Injection,
-    Job,
-    NotSettled,
-    OperatingPoint,
-    OperatingRange,
-    Phasors,
-    Rating,
-    Record,
-    Source,
-    Window,
-)
-from .sources import check_source, series_tones, turns
-from .wiring import Map, wire
-
-_PHASE_PEAK = sqrt(2.0 / 3.0)
-"""Power-invariant (line-to-line RMS) to phase peak."""
+from .dpmsg_parameters import TABLE_I, TurbineParameters
+from .forked import Forks
+from .grey_core import SampledTurbine, warm_up
+from .periodic import Patience
+from .protocol import Injection, Job, OperatingPoint, Phasors, Record, Source, Tone, Window
 
 CIRCUIT = ("u_rated_v", "s_rated_va", "w1_rad_s", "l_c_h", "r_f_ohm", "c_f_f", "c_dc_f", "v_dc_ref_v")
-"""Fields of `TurbineParameters` that belong to the circuit."""
+"""Fields of `TurbineParameters` that belong to the circuit; ``v_dc_ref_v`` is where the DC link starts."""
 
-PERIODIC = 1e-10
-"""Change over one period, relative to the peak, at which the search for the steady state stops."""
+SNAPSHOTS = ("auto", "states", "fork", "copy")
+"""How a state is kept: found out, as the declared arrays, as a process, or by going the way again in a fresh copy."""
 
-SETTLED = 1e-6
-"""Largest such change that is called settled: a box of single precision or with a dither stays above `PERIODIC`."""
-
-DIVERGED_PU = 10.0
-"""A current this many times the rated peak will not come back."""
-
-ROUND = 25
-"""Periods between two looks at whether it is periodic."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GreyState:
-    """Circuit and controller at one sample; opaque to everybody else.
-
-    Attributes
-    ----------
-    step : int
-        Samples since the controller was started.
-    time_s : float
-        Time (s).
-    x : (4,) complex
-        i_L, v_C, i_g (A, V; phase peak, stationary frame) and the command that waits.
-    energy : float
-        Of the DC link (J).
-    memory : ControllerMemory
-        What the controller declares it remembers.
-    v_source : complex
-        Source voltage at time zero (V, phase peak).
-    source : Source
-        What feeds the PCC.
-    power_w, voltage_v : float
-        References of the operating point: P_machine (W) and |v_pcc| (V, line-to-line RMS).
-    """
-
-    step: int
-    time_s: float
-    x: np.ndarray
-    energy: float
-    memory: ControllerMemory
-    v_source: complex
-    source: Source
-    power_w: float
-    voltage_v: float
+PROBE_PU = 0.02
+"""Peak of the perturbation that tells whether the declared states are all there are."""
 
 
 class GreyTurbine:
@@ -103,15 +46,18 @@ class GreyTurbine:
     controller : str
         ``cigre:FILE``, a TB 958 library; it is loaded into this process.
     inputs, outputs : mapping
-        The signal map: what each port of the controller is.
+        The signal map: what each port of the controller is; see `wiring`.
     settings : mapping
         Parameters of the controller by name; the others have its defaults.
     sample_time_s : float
         Sample time (s) of a controller that does not say its own.
     delay_samples : 0 or 1
         Samples by which the converter follows late.
-    settle_s : float
-        Simulated time (s) that the search for a steady state may take.
+    settle_s, settle_tolerance : float
+        Simulated time (s) that the search for a steady state may take, and the change from one period to the next, over
+        the peak, that ends it.
+    snapshot : "auto", "states", "fork" or "copy"
+        How states are kept; see `SNAPSHOTS`.
     **parameters : float
         Fields of `TurbineParameters` named in `CIRCUIT` to replace, e.g. ``l_c_h=0.2e-3``.
 
@@ -121,10 +67,8 @@ class GreyTurbine:
         If the library cannot be used, the map does not fit its ports, or a parameter is unknown or out of its range.
     """
 
-    id = "dpmsg-grey-v1"
-    power_meaning = (
-        "P_machine: constant power into the DC link; the converter carries it at rest, if its control holds v_dc"
-    )
+    id = SampledTurbine.id
+    power_meaning = SampledTurbine.power_meaning
 
     def __init__(
         self,
@@ -136,37 +80,44 @@ class GreyTurbine:
         sample_time_s: float | None = None,
         delay_samples: int = 0,
         settle_s: float = 60.0,
+        settle_tolerance: float = 1e-10,
+        snapshot: str = "auto",
         **parameters: float,
     ):
-        unknown = sorted(set(parameters) - set(CIRCUIT))
-        if unknown:
-            raise ValueError(f"{self.id} has no parameter {unknown[0]!r}; its circuit has {', '.join(CIRCUIT)}")
-        for name, value in {**parameters, "settle_s": settle_s}.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not (value > 0.0 and isfinite(value)):
-                raise ValueError(f"{name} is {value!r}; {self.id} needs a finite number above 0")
+        if snapshot not in SNAPSHOTS:
+            raise ValueError(f"snapshot is {snapshot!r}; {self.id} has {', '.join(map(repr, SNAPSHOTS))}")
         if delay_samples not in (0, 1) or isinstance(delay_samples, bool):
             raise ValueError(f"delay_samples is {delay_samples!r}; {self.id} takes 0 or 1")
-        self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
-        self.library = Library(_path(controller))
-        self.contents = {"controller": _fingerprint(self.library)}
-        self.dt_s = _sample_time(self.library, sample_time_s)
-        self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
-        u = self.parameters.u_rated_v
-        self.rating = Rating(u, self.parameters.s_rated_va)
-        self.operating_range = OperatingRange((0.05e6, 1.35e6), (0.85 * u, 1.15 * u))
-        self._settings = dict(settings or {})
-        self._delay, self._settle_s = delay_samples, settle_s
-        self._controller = Controller(self.library, self._settings)
-        self._map = wire(self._controller.input_terminals, self._controller.output_terminals, inputs, outputs)
-        self._settled: dict[tuple[OperatingPoint, Source], GreyState] = {}
+        for name, table in {"settings": settings or {}, "inputs": inputs, "outputs": outputs}.items():
+            if not isinstance(table, Mapping):
+                raise ValueError(f"{name} is {table!r}; {self.id} needs a table")
+        path = _path(controller)
+        library = Library(path)
+        self._build = partial(
+            SampledTurbine,
+            path,
+            dict(inputs),
+            dict(outputs),
+            dict(settings or {}),
+            _circuit(parameters),
+            _sample_time(library, sample_time_s),
+            delay_samples,
+            Patience(*_positive(settle_tolerance=settle_tolerance, settle_s=settle_s)),
+        )
+        self._core = core = self._build()
+        self.f1_hz, self.dt_s, self.rating, self.operating_range = (
+            core.f1_hz,
+            core.dt_s,
+            core.rating,
+            core.operating_range,
+        )
+        self.contents = {"controller": _fingerprint(library)}
+        self._branched = None if snapshot in ("auto", "states") else self._branches(snapshot)
+        self._sure = snapshot != "auto"
+        self._settled: dict[tuple[OperatingPoint, Source], Any] = {}
 
-    # ------------------------------------------------------------------ steady state
-
-    def settle(self, operating_point: OperatingPoint, source: Source) -> GreyState:
-        """The periodic steady state, reached by running; certified by the change over its last period.
-
-        The circuit starts at the reference turbine's equilibrium, the controller as its library starts it, told the
-        outputs that belong there.
+    def settle(self, operating_point: OperatingPoint, source: Source) -> Any:
+        """The periodic steady state, reached by running; certified by the change over its last periods.
 
         Raises
         ------
@@ -175,185 +126,85 @@ class GreyTurbine:
         NotSettled
             If the waveforms do not become periodic within ``settle_s``, or run away ("diverged").
         """
-        check_source(operating_point, source)
         key = operating_point, source
         if key not in self._settled:
-            self._settled[key] = self._periodic(self._start(operating_point, source))
+            self._settled[key] = self._found(operating_point, source)
         return self._settled[key]
 
-    def _start(self, operating_point: OperatingPoint, source: Source) -> GreyState:
-        p, power_w = self.parameters, operating_point.active_power_w
-        voltage_v = operating_point.terminal_voltage_v or source.voltage_v
-        assert voltage_v is not None
-        rest = stationary.grid_side_equilibrium(p, power_w, voltage_v)
-        v_source = rest.v_pcc
-        if source.kind == "thevenin":
-            v_source = stationary.thevenin_voltage(p, power_w, voltage_v, source.r_ohm, source.l_h)
-        turn = _PHASE_PEAK * cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
-        command = rest.v_conv * turn
-        x = np.array([rest.i_l * turn, rest.v_c * turn, rest.i_g * turn, command])
-        energy = 0.5 * p.c_dc_f * p.v_dc_ref_v**2
-        nothing = ControllerMemory(b"", b"", b"", b"", b"")
-        state = GreyState(0, 0.0, x, energy, nothing, v_source * turn, source, power_w, voltage_v)
-        return replace(state, memory=self._begun(state, command))
-
-    def _begun(self, state: GreyState, command: complex) -> ControllerMemory:
-        """The controller, begun anew in ``state`` with the outputs that make ``command``."""
-        from .kernels import grey as kernel
-
-        self._controller = controller = Controller(self.library, self._settings)
-        inputs, outputs, wiring, net, store, quantities = self._surroundings(state)
-        v_dc = kernel.inform(inputs, wiring, net, store, quantities, state.x, state.v_source, state.energy)
-        per = 0.5 * v_dc if self._map.modulated else 1.0
-        for part in self._map.outputs:
-            cells = getattr(outputs, part.type)
-            cells[part.cell] = (command * part.direction.conjugate()).real * part.gain / per
-        controller.start()
-        return controller.memory()
-
-    def _periodic(self, state: GreyState) -> GreyState:
-        steps = round(1.0 / (self.f1_hz * self.dt_s))
-        change, v, i = np.inf, 0j, 0j
-        while state.time_s < self._settle_s:
-            ((state, record),) = self.run([Job(state, None)], ROUND * steps)
-            v, i = record.v[-2 * steps :], record.i[-2 * steps :]
-            size = np.max(np.abs(i)) / self.rating.peak_current_a
-            if not size <= DIVERGED_PU:
-                raise NotSettled(
-                    f"the current reaches {size:.3g} times the rated peak {state.time_s:.3g} s after the controller was "
-                    "started: the closed loop is unstable, or a sign in the signal map is wrong",
-                    status="diverged",
-                )
-            change = max(np.max(np.abs(x[steps:] - x[:steps])) / np.max(np.abs(x)) for x in (v, i))
-            if change <= PERIODIC:
-                return state
-        if change <= SETTLED:
-            return state
-        raise NotSettled(
-            f"waveforms still change by {change:.2g} of their peak over a period, {self._settle_s:g} s after the "
-            f"controller was started; {SETTLED:g} is needed (settle_s sets the time, delay_samples and the signal map "
-            "decide whether it can settle at all)"
-        )
-
-    # ------------------------------------------------------------------ driving
-
-    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[GreyState, Record]]:
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[Any, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
-        return [self._run_one(job, n_steps) for job in jobs]
+        return [
+            self._go_on(job, Run(job.injection, n_steps))
+            if isinstance(job.state, BranchedState)
+            else self._core.run([job], n_steps)[0]
+            for job in jobs
+        ]
 
     def run_phasors(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
-    ) -> list[tuple[GreyState, Phasors]]:
+    ) -> list[tuple[Any, Phasors]]:
         """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
-        return [self._listen_one(job, window, block_steps, n_blocks) for job, window in zip(jobs, windows, strict=True)]
-
-    def _run_one(self, job: Job, n_steps: int) -> tuple[GreyState, Record]:
-        from .kernels import grey as kernel
-
-        v, i = np.full(n_steps, np.nan, complex), np.full(n_steps, np.nan, complex)
-        end = self._advance(job, n_steps, kernel.advance_recording, v, i)
-        return end, Record(job.state.time_s, self.dt_s, v, -i, self.f1_hz, "load", self.id)
-
-    def _listen_one(self, job: Job, window: Window, block_steps: int, n_blocks: int) -> tuple[GreyState, Phasors]:
-        from .kernels import grey as kernel
-
-        lines_hz, first_s = (window.f_hz, 2.0 * self.f1_hz - window.f_hz), job.state.step * self.dt_s
-        steps_per_window = window.n_blocks * block_steps
-        sums = np.zeros((n_blocks, 4), complex)
-        end = self._advance(
-            job,
-            n_blocks * block_steps,
-            kernel.advance_blocks,
-            np.array([turns(-f_hz * first_s) for f_hz in lines_hz]),
-            np.array([turns(-f_hz * self.dt_s) for f_hz in lines_hz]),
-            turns((window.first_block % window.n_blocks) / window.n_blocks),
-            turns(1.0 / steps_per_window),
-            block_steps,
-            sums,
-        )
-        if not isfinite(end.energy):
-            sums[:] = np.nan
-        sums /= kernel.TAPER_MEAN * steps_per_window
-        return end, Phasors(sums[:, :2].copy(), -sums[:, 2:])
-
-    def _advance(self, job: Job, n_steps: int, kernel_of: Any, *listening: Any) -> GreyState:
-        """Put everything back to the job's state, go on, and keep where it ended."""
-        from .kernels import grey as kernel
-
-        state, controller = job.state, self._controller
-        controller.restore(state.memory)
-        x = state.x.copy()
-        energy, taken, how = kernel_of(
-            controller.addresses,
-            controller.time,
-            state.step,
-            *self._surroundings(state),
-            x,
-            state.energy,
-            *self._tones(job),
-            *listening,
-        )
-        controller.check()
-        if how == kernel.REFUSED:
-            raise controller.refusal("Model_Outputs")
-        if how == kernel.NOT_A_NUMBER:
-            raise ControllerFault(f"{self._silent_port()} is not a finite number at {controller.time[0]:.6g} s")
-        if how == kernel.EMPTY:
-            energy = np.nan  # the DC link is empty: nothing is left to go on from
-        step = state.step + n_steps
-        return replace(state, step=step, time_s=step * self.dt_s, x=x, energy=energy, memory=controller.memory())
-
-    def _surroundings(self, state: GreyState) -> tuple[Any, ...]:
-        """Memory, wiring, network, DC link and references, as the kernel takes them."""
-        from .kernels import grey as kernel
-
-        quantities = np.zeros(kernel.N_QUANTITIES)
-        quantities[kernel.P_REF], quantities[kernel.V_REF], quantities[kernel.ONE] = state.power_w, state.voltage_v, 1.0
-        store = kernel.Store(self.parameters.c_dc_f, state.power_w, self.dt_s, self._delay)
-        return (
-            _cells(self._controller.inputs.cells),
-            _cells(self._controller.outputs.cells),
-            _wiring(self._map),
-            circuit.network(self.parameters, state.source, self.dt_s),
-            store,
-            quantities,
-        )
-
-    def _tones(self, job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The source's phasors, fundamental first, their turns per step and what they force."""
-        state, source = job.state, job.state.source
-        tones = [
-            (self.f1_hz, state.v_source),
-            *series_tones(job.injection, source, lambda f_hz: circuit.impedance(source, f_hz)),
+        return [
+            self._go_on(job, Listen(job.injection, window, block_steps, n_blocks))
+            if isinstance(job.state, BranchedState)
+            else self._core.run_phasors([job], [window], block_steps, n_blocks)[0]
+            for job, window in zip(jobs, windows, strict=True)
         ]
-        first_s = state.step * self.dt_s
-        return (
-            np.array([amplitude * turns(f_hz * first_s) for f_hz, amplitude in tones]),
-            np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
-            np.array([circuit.forcing(self.parameters, source, f_hz, self.dt_s) for f_hz, _ in tones]),
-        )
 
-    def _silent_port(self) -> str:
-        """The first wired output that is not finite, in words."""
-        cells = _cells(self._controller.outputs.cells)
-        for part in self._map.outputs:
-            if not isfinite(getattr(cells, part.type)[part.cell]):
-                for port in self._controller.output_terminals:
-                    if port.type == part.type and port.first <= part.cell < port.first + port.width:
-                        return f"output port {port.name!r}"
-        return "an output"
+    def _go_on(self, job: Job, action: Run | Listen) -> tuple[BranchedState, Any]:
+        self._branched = self._branched or self._branches("fork")  # a state from another process
+        return self._branched.go_on(job.state, action)
+
+    def _found(self, operating_point: OperatingPoint, source: Source) -> Any:
+        """A steady state, once it is known whether states can be kept as what the library declares."""
+        if self._branched is None:
+            state = self._core.settle(operating_point, source)
+            if self._sure or is_whole(self._core, state, self._probe):
+                self._sure = True
+                return state
+            self._branched = self._branches("fork" if sys.platform == "linux" else "copy")
+        return self._branched.settle(operating_point, source)
+
+    def _probe(self, sign: float) -> Injection:
+        return Injection("series_voltage", (Tone(1.7 * self.f1_hz, sign * PROBE_PU * self.rating.peak_voltage_v),))
+
+    def _branches(self, snapshot: str) -> Branched:
+        if snapshot == "fork":
+            return Branched(Forks(partial(_forwards, self._build), warm_up))
+        return Branched(Replays(partial(_forwards, partial(self._build, fresh=True))))
 
 
 def around_library(path: str, **parameters: Any) -> GreyTurbine:
     """``cigre:FILE``: `GreyTurbine` with that library; parameters pass through."""
+    for name in ("inputs", "outputs"):
+        if name not in parameters:
+            raise ValueError(f"{name} is missing: a signal map says what each port of {path} is; see docs/cigre.md")
     return GreyTurbine(f"cigre:{path}", **parameters)
 
 
+def _forwards(build: partial[SampledTurbine]) -> Forwards:
+    return Forwards(build())
+
+
 def _path(controller: str) -> Path:
-    kind, colon, rest = controller.partition(":")
+    kind, colon, rest = str(controller).partition(":")
     if not (colon and kind == "cigre" and rest):
         raise CigreError(f"controller is {controller!r}; it must read cigre:FILE, the path of a TB 958 library")
     return Path(rest)
+
+
+def _circuit(parameters: Mapping[str, Any]) -> TurbineParameters:
+    unknown = sorted(set(parameters) - set(CIRCUIT))
+    if unknown:
+        raise ValueError(f"{GreyTurbine.id} has no parameter {unknown[0]!r}; its circuit has {', '.join(CIRCUIT)}")
+    return TABLE_I._replace(**dict(zip(parameters, _positive(**parameters), strict=True)))
+
+
+def _positive(**values: Any) -> list[float]:
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not (value > 0.0 and isfinite(value)):
+            raise ValueError(f"{name} is {value!r}; {GreyTurbine.id} needs a finite number above 0")
+    return [float(value) for value in values.values()]
 
 
 def _fingerprint(library: Library) -> dict[str, str]:
@@ -377,26 +228,3 @@ def _sample_time(library: Library, given: float | None) -> float:
     if own and abs(given - own) > 1e-9 * own:
         raise CigreError(f"sample_time_s is {given:g} s, but {library.path} is sampled every {own:g} s: leave it away")
     return given
-
-
-def _cells(memory: np.ndarray) -> Any:
-    from .kernels.grey import CELL_TYPES, Cells
-
-    return Cells(*(memory.view(kind) for kind in CELL_TYPES))
-
-
-def _wiring(signals: Map) -> Any:
-    from .kernels import grey as kernel
-
-    kinds = {name: kind for kind, name in enumerate(kernel.CELL_TYPES)}
-    inputs, outputs = signals.inputs, signals.outputs
-    return kernel.Wiring(
-        np.array([kinds[part.type] for part in inputs], np.int64),
-        np.array([part.cell for part in inputs], np.int64),
-        np.array([getattr(kernel, part.quantity) for part in inputs], np.int64),
-        np.array([part.gain for part in inputs], float).reshape(-1, 2),
-        np.array([kinds[part.type] for part in outputs], np.int64),
-        np.array([part.cell for part in outputs], np.int64),
-        np.array([part.weight for part in outputs], complex),
-        signals.modulated,
-    )

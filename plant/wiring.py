@@ -116,8 +116,8 @@ def wire(
     Raises
     ------
     WiringError
-        For a port that does not exist or is not fed, a signal, unit, base or sign that does not fit, a width that is not
-        the signals', or a converter voltage that is not given whole.
+        For a port that does not exist or is not fed, a signal, unit, base or sign that does not fit, a width that is
+        not the signals', or a converter voltage that is not given whole.
     """
     _known("inputs", inputs, told)
     _known("outputs", outputs, given)

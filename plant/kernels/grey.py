@@ -111,6 +111,44 @@ class Store(NamedTuple):
     delay: int
 
 
+class Box(NamedTuple):
+    """A controller, ready to be called.
+
+    Attributes
+    ----------
+    addresses : (2,) int
+        Of its function and of that function's argument.
+    time : (1,) float
+        Where it reads the time (s).
+    inputs, outputs : Cells
+        Its memory.
+    wiring : Wiring
+        What is where.
+    """
+
+    addresses: np.ndarray
+    time: np.ndarray
+    inputs: Cells
+    outputs: Cells
+    wiring: Wiring
+
+
+class Tones(NamedTuple):
+    """A source of rotating phasors.
+
+    Attributes
+    ----------
+    phasors, rotations : (n,) complex
+        Their values at the step at hand (V), moved on in place, and their turn per step.
+    forcing : (n, 4) complex
+        What a phasor adds to states and integral over a step, per volt at its start.
+    """
+
+    phasors: np.ndarray
+    rotations: np.ndarray
+    forcing: np.ndarray
+
+
 @intrinsic
 def _called(typing_context, function, argument):
     """Result (int32) of the C function at address ``function``, given the address ``argument``."""
@@ -162,19 +200,21 @@ def _told(cells, kind, cell):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _inform(inputs, wiring, quantities):
+def _inform(box, quantities):
     """Write the controller's inputs from the ``quantities`` (N_QUANTITIES,)."""
+    wiring = box.wiring
     for k in range(len(wiring.in_cell)):
         first = wiring.in_quantity[k]
         value = wiring.in_gain[k, 0] * quantities[first] + wiring.in_gain[k, 1] * quantities[first + 1]
-        _tell(inputs, wiring.in_kind[k], wiring.in_cell[k], value)
+        _tell(box.inputs, wiring.in_kind[k], wiring.in_cell[k], value)
 
 
 @njit(forceinline=True, error_model="numpy")
-def _command(outputs, wiring):
+def _command(box):
+    wiring = box.wiring
     u = 0.0j
     for k in range(len(wiring.out_cell)):
-        u += wiring.out_vector[k] * _told(outputs, wiring.out_kind[k], wiring.out_cell[k])
+        u += wiring.out_vector[k] * _told(box.outputs, wiring.out_kind[k], wiring.out_cell[k])
     return u
 
 
@@ -195,10 +235,10 @@ def _observe(x, e, energy, network, store, quantities):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _voltage(command, x, v_dc, wiring, store):
+def _voltage(command, x, v_dc, modulated, store):
     """What the averaged converter makes of a command over one step: v_dc / sqrt(3) phase peak at most."""
     u = command
-    if wiring.modulated:
+    if modulated:
         taken = 0.75 * v_dc * (u * x[I_L].conjugate()).real  # power at the start of the step
         u *= 0.5 * (v_dc + 0.5 * store.dt_s * (store.power_w - taken) / (store.c_dc_f * v_dc))
     size, limit = abs(u), v_dc / math.sqrt(3.0)
@@ -206,167 +246,101 @@ def _voltage(command, x, v_dc, wiring, store):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _move(x, energy, u, tones, forcing, network, store):
-    """States (in place) and energy one step later under the converter voltage ``u`` and the source's ``tones``."""
+def _move(x, energy, u, source, network, store):
+    """States (in place) and energy one step later under the converter voltage ``u``."""
     x_0, x_1, x_2 = x[0], x[1], x[2]
     phi, beta = network.phi, network.beta
     charge = phi[3, 0] * x_0 + phi[3, 1] * x_1 + phi[3, 2] * x_2 + beta[3] * u
     for row in range(3):
         x[row] = phi[row, 0] * x_0 + phi[row, 1] * x_1 + phi[row, 2] * x_2 + beta[row] * u
-    for tone in range(len(tones)):
+    for tone in range(len(source.phasors)):
+        phasor = source.phasors[tone]
         for row in range(3):
-            x[row] += forcing[tone, row] * tones[tone]
-        charge += forcing[tone, 3] * tones[tone]
+            x[row] += source.forcing[tone, row] * phasor
+        charge += source.forcing[tone, 3] * phasor
+        source.phasors[tone] = phasor * source.rotations[tone]
     return energy + store.dt_s * store.power_w - 1.5 * (u * charge.conjugate()).real
 
 
 @njit(forceinline=True, error_model="numpy")
-def _step(box, time, step, inputs, outputs, wiring, network, store, quantities, x, energy, tones, rotations, forcing):
+def _step(box, source, network, store, step, quantities, x, energy):
     """One sample: measure, call, hold. Returns v_pcc, i_g, the energy after it and how it ended."""
     e = 0.0j
-    for tone in range(len(tones)):
-        e += tones[tone]
+    for tone in range(len(source.phasors)):
+        e += source.phasors[tone]
     v, i = _observe(x, e, energy, network, store, quantities)
-    time[0] = step * store.dt_s
-    quantities[TIME] = time[0]
-    _inform(inputs, wiring, quantities)
-    if _called(box[0], box[1]) not in (0, 1):
+    box.time[0] = step * store.dt_s
+    quantities[TIME] = box.time[0]
+    _inform(box, quantities)
+    if _called(box.addresses[0], box.addresses[1]) not in (0, 1):
         return v, i, energy, REFUSED
-    command = _command(outputs, wiring)
+    command = _command(box)
     if not (math.isfinite(command.real) and math.isfinite(command.imag)):
         return v, i, energy, NOT_A_NUMBER
     if store.delay:
         command, x[3] = x[3], command
-    u = _voltage(command, x, quantities[V_DC], wiring, store)
-    energy = _move(x, energy, u, tones, forcing, network, store)
-    for tone in range(len(tones)):
-        tones[tone] *= rotations[tone]
+    u = _voltage(command, x, quantities[V_DC], box.wiring.modulated, store)
+    energy = _move(x, energy, u, source, network, store)
     return v, i, energy, DONE if energy > 0.0 else EMPTY
 
 
 @njit(cache=True)
-def inform(inputs, wiring, network, store, quantities, x, e, energy):
+def inform(box, network, store, quantities, x, e, energy):
     """Tell the controller what is measured with the states ``x`` under the source voltage ``e``; v_dc (V)."""
     _observe(x, e, energy, network, store, quantities)
-    _inform(inputs, wiring, quantities)
+    _inform(box, quantities)
     return quantities[V_DC]
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
-def advance_recording(
-    box,
-    time,
-    step,
-    inputs,
-    outputs,
-    wiring,
-    network,
-    store,
-    quantities,
-    x,
-    energy,
-    tones,
-    rotations,
-    forcing,
-    v_out,
-    i_out,
-):
+def advance_recording(box, source, network, store, step, quantities, x, energy, v_out, i_out):
     """Fill ``v_out`` and ``i_out`` with v_pcc and i_g before each step.
 
     Parameters
     ----------
-    box : (2,) int
-        Addresses of the controller's function and of its argument.
-    time : (1,) float
-        Where the controller reads the time (s).
+    box, source, network, store
+        As above; the source's phasors are those of the first step, and are moved on in place.
     step : int
         Number of the first step since time zero.
-    inputs, outputs : Cells
-        The controller's memory.
-    wiring, network, store
-        As above.
     quantities : (N_QUANTITIES,) float
         References set, the rest is filled in.
     x : (4,) complex
         States of the network and the command that waits (with a delay); moved on in place.
     energy : float
         Of the DC link (J).
-    tones, rotations : (n,) complex
-        The source's phasors at the first step, and their turn per step.
-    forcing : (n, 4) complex
-        What a tone adds to states and integral over a step, per volt of its phasor at the start.
 
     Returns
     -------
-    energy, taken, end
-        Energy after the last step, steps that were taken, how it ended.
+    energy, end
+        Energy after the last step, and how it ended; what was not reached is left as it was.
     """
-    tones = tones.copy()
     for k in range(len(v_out)):
-        v_out[k], i_out[k], energy, end = _step(
-            box,
-            time,
-            step + k,
-            inputs,
-            outputs,
-            wiring,
-            network,
-            store,
-            quantities,
-            x,
-            energy,
-            tones,
-            rotations,
-            forcing,
-        )
+        v_out[k], i_out[k], energy, end = _step(box, source, network, store, step + k, quantities, x, energy)
         if end != DONE:
-            return energy, k, end
-    return energy, len(v_out), DONE
+            return energy, end
+    return energy, DONE
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
 def advance_blocks(
-    box,
-    time,
-    step,
-    inputs,
-    outputs,
-    wiring,
-    network,
-    store,
-    quantities,
-    x,
-    energy,
-    tones,
-    rotations,
-    forcing,
-    lines,
-    line_rotations,
-    taper,
-    turn,
-    block_steps,
-    sums,
+    box, source, network, store, step, quantities, x, energy, lines, line_rotations, taper, turn, block_steps, sums
 ):
     """Advance by blocks; ``sums[block]`` receives the tapered sums of v_pcc at both ``lines``, then of i_g.
 
-    ``lines`` (2,) are the phasors exp(-2j pi f t) at the first step, ``taper`` the taper's phasor, which turns by
-    ``turn`` per step. The rest, and what is returned, is as in `advance_recording`.
+    ``lines`` (2,) are the phasors exp(-2j pi f t) at the first step, moved on in place; ``taper`` is the taper's
+    phasor, which turns by ``turn`` per step. The rest, and what is returned, is as in `advance_recording`.
     """
-    tones, lines = tones.copy(), lines.copy()
     sums[:] = 0.0
     for block in range(len(sums)):
         for k in range(block_steps):
-            taken = block * block_steps + k
-            v, i, energy, end = _step(
-                box, time, step + taken, inputs, outputs, wiring, network, store, quantities, x, energy, tones, rotations,
-                forcing,
-            )  # fmt: skip
+            now = step + block * block_steps + k
+            v, i, energy, end = _step(box, source, network, store, now, quantities, x, energy)
             if end != DONE:
-                return energy, taken, end
+                return energy, end
             weight = TAPER_0 + taper.real * (TAPER_1 + taper.real * TAPER_2)
             for line in range(2):
                 sums[block, line] += weight * v * lines[line]
                 sums[block, 2 + line] += weight * i * lines[line]
                 lines[line] *= line_rotations[line]
             taper *= turn
-    return energy, len(sums) * block_steps, DONE
+    return energy, DONE

@@ -27,9 +27,11 @@ static int32_t fault(tb958_instance *instance)
 #elif defined FAULT_SLEEP
     sleep(3600);
 #elif defined FAULT_LEAK
-    memset(malloc(1000000), 1, 1000000);
+    memset(malloc(1000), 1, 1000);
 #elif defined FAULT_ABORT
     abort();
+#elif defined FAULT_EXIT
+    exit(7);
 #elif defined FAULT_SEGV
     *(volatile int *)8 = 1;
 #endif
