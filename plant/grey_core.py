@@ -36,6 +36,11 @@ POWER_W = (0.05e6, 1.35e6)
 
 VOLTAGE_PU = (0.85, 1.15)
 
+HELD = 1e-9
+"""Mismatch of |v_pcc| behind a grid that is accepted, relative."""
+
+HELD_TRIALS = 20
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GreyState:
@@ -130,7 +135,37 @@ class SampledTurbine:
         outputs that belong there.
         """
         voltage_v = voltage_asked(operating_point, source, self.operating_range, self.rating, self.id)
+        if source.kind == "ideal":
+            return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
+        if source.voltage_v is None:
+            return self._held(self._periodic(self._start(operating_point.active_power_w, voltage_v, source)))
+        try:
+            voltage_v = stationary.terminal_voltage_for_source(
+                self.parameters, operating_point.active_power_w, voltage_v, source.r_ohm, source.l_h
+            )
+        except ValueError as error:
+            raise NotSettled(str(error)) from None
         return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
+
+    def _held(self, state: GreyState) -> GreyState:
+        """Onwards to the source voltage at which |v_pcc| is what is asked, by secant steps on its size."""
+        factor, before = 1.0, None
+        for _ in range(HELD_TRIALS):
+            ((state, record),) = self.run([Job(state, None)], Clock(self.f1_hz, self.dt_s).period_steps)
+            found = abs(np.mean(record.v * np.exp(-2j * pi * self.f1_hz * record.time_s)))
+            excess = float(found / (_PHASE_PEAK * state.voltage_v)) - 1.0
+            if abs(excess) <= HELD:
+                return state
+            slope = 1.0 if before is None else (excess - before[1]) / (factor - before[0])
+            if not slope > 0.0:
+                break
+            before, step = (factor, excess), max(-0.05, min(0.05, -excess / slope))
+            state = self._periodic(replace(state, v_source=state.v_source * (factor + step) / factor))
+            factor += step
+        raise NotSettled(
+            f"|v_pcc| stays {excess:+.2g} away from the {state.voltage_v:g} V asked, whatever the source voltage: the "
+            "grid cannot carry the power, or the controller holds the voltage itself"
+        )
 
     def _start(self, power_w: float, voltage_v: float, source: Source) -> GreyState:
         """Circuit and controller at time zero."""

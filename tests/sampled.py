@@ -44,9 +44,11 @@ class Orbit:
 
 
 def admittance_pn(orbit: Orbit, f_hz: np.ndarray) -> np.ndarray:
-    """Sequence admittance (n, 2, 2) in S of the stepped plant at ``f_hz``, its fundamental voltage at angle zero."""
+    """Sequence admittance (n, 2, 2) in S of the stepped plant at ``f_hz``, d axis on its fundamental voltage."""
     monodromy = _monodromy(orbit)
-    return np.array([_solved(orbit, monodromy, f) for f in f_hz])
+    _, record = orbit.flow(orbit.numbers(orbit.state))
+    turn = np.exp(2j * np.angle(_mean(record.v, orbit.plant.f1_hz, record.time_s)))
+    return np.array([_solved(orbit, monodromy, f, turn) for f in f_hz])
 
 
 def _monodromy(orbit: Orbit) -> np.ndarray:
@@ -57,13 +59,14 @@ def _monodromy(orbit: Orbit) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def _solved(orbit: Orbit, monodromy: np.ndarray, f: float) -> np.ndarray:
-    """Y from two excitations, at f and at the mirror."""
+def _solved(orbit: Orbit, monodromy: np.ndarray, f: float, turn: complex) -> np.ndarray:
+    """Y from two excitations, at f and at the mirror; ``turn`` is exp(2j phi1)."""
     mirror = 2.0 * orbit.plant.f1_hz - f
     v_direct, i_direct = _response(orbit, monodromy, f, (f, mirror))
     v_mirror, i_mirror = _response(orbit, monodromy, mirror, (f, mirror))
     v, i = (
-        np.column_stack([[x[0], np.conj(x[1])] for x in pair]) for pair in ((v_direct, v_mirror), (i_direct, i_mirror))
+        np.column_stack([[x[0], turn * np.conj(x[1])] for x in pair])
+        for pair in ((v_direct, v_mirror), (i_direct, i_mirror))
     )
     return i @ np.linalg.inv(v)
 

@@ -1,10 +1,9 @@
-"""A controller that misbehaves costs its own points, with the reason in the table: nothing hangs, nothing is left behind.
+"""A controller that misbehaves costs its own points, with the reason in the table; nothing hangs or is left behind.
 
 Every build goes wrong from 12 s on, when all but the slowest shots are over.
 """
 
 from __future__ import annotations
-
 
 import pyarrow.parquet as pq
 import pytest

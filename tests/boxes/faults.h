@@ -8,7 +8,13 @@
 #define DECLARED_WIDTH 3
 #endif
 
-#if defined FAULT_SLEEP
+#ifdef FAULT_STATES
+#define DECLARED_DOUBLES (N_DOUBLES - 3) /* the model uses them all */
+#else
+#define DECLARED_DOUBLES N_DOUBLES
+#endif
+
+#ifdef FAULT_SLEEP
 #include <unistd.h>
 #endif
 

@@ -9,7 +9,8 @@
 
    Space vectors are power-invariant in here, ports are phase quantities: V and A, current out of the
    converter. Switches: HIDDEN_STATES keeps the state in statics instead of the declared arrays,
-   BARE exports Model_GetInfo and Model_Outputs alone, SINGLE has float ports; see also faults.h. */
+   BARE exports Model_GetInfo and Model_Outputs alone, SINGLE has float ports, PER_UNIT tells
+   everything differently (see below), UNTIMED names no sample time; see also faults.h. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -28,6 +29,24 @@ typedef float port;
 #else
 typedef double port;
 #define PORT TB958_REAL64
+#endif
+
+/* One of a port's units in SI, with the sign. PER_UNIT: voltage in pu of 500 V, current in kA into the
+   converter, DC voltage in kV, and a modulation index instead of a voltage. */
+#ifdef PER_UNIT
+enum { MODULATES = 1 };
+#define V_UNIT "pu"
+#define I_UNIT "kA"
+#define DC_UNIT "kV"
+#define OUT_UNIT ""
+static const double v_unit = 500.0, i_unit = -1e3, dc_unit = 1e3;
+#else
+enum { MODULATES = 0 };
+#define V_UNIT "V"
+#define I_UNIT "A"
+#define DC_UNIT "V"
+#define OUT_UNIT "V"
+static const double v_unit = 1.0, i_unit = 1.0, dc_unit = 1.0;
 #endif
 
 typedef struct {
@@ -58,14 +77,14 @@ typedef struct {
 #include "faults.h"
 
 static const tb958_signal input_ports[] = {
-    {"v_abc", "voltage at the terminals, phase to neutral", "V", PORT, 3},
-    {"i_abc", "current out of the converter", "A", PORT, 3},
-    {"v_dc", "voltage of the DC link", "V", PORT, 1},
-    {"v_dc_ref", "its reference", "V", PORT, 1},
+    {"v_abc", "voltage at the terminals, phase to neutral", V_UNIT, PORT, 3},
+    {"i_abc", "current of the converter", I_UNIT, PORT, 3},
+    {"v_dc", "voltage of the DC link", DC_UNIT, PORT, 1},
+    {"v_dc_ref", "its reference", DC_UNIT, PORT, 1},
 };
 
 static const tb958_signal output_ports[] = {
-    {"v_conv_abc", "voltage of the converter, phase to neutral", "V", PORT, DECLARED_WIDTH},
+    {"v_conv_abc", "voltage of the converter, phase to neutral", OUT_UNIT, PORT, DECLARED_WIDTH},
     {"limited", "1 while a limit acts", "", TB958_INT32, 1},
     {"angle", "angle of the phase-locked loop", "rad", PORT, 1},
 };
@@ -93,7 +112,9 @@ static const tb958_info info = {
     .version = "1.0",
     .description = "Grid-side controls of a wind turbine",
     .general = "PLL, DC voltage and current control, sampled",
+#ifndef UNTIMED
     .sample_time_s = T,
+#endif
     .emt_rms = 1,
     .n_inputs = sizeof input_ports / sizeof *input_ports,
     .inputs = input_ports,
@@ -102,7 +123,7 @@ static const tb958_info info = {
     .n_parameters = sizeof parameter_list / sizeof *parameter_list,
     .parameters = parameter_list,
 #ifndef HIDDEN_STATES
-    .n_double_states = N_DOUBLES,
+    .n_double_states = DECLARED_DOUBLES,
 #endif
 };
 
@@ -121,9 +142,9 @@ static memory *memory_of(const tb958_instance *instance)
 }
 
 /* Power-invariant space vector of three phase quantities, sqrt(3/2) of the phase peak. */
-static void to_alpha_beta(const port abc[3], double *alpha, double *beta)
+static void to_alpha_beta(const port abc[3], double unit, double *alpha, double *beta)
 {
-    const double scale = sqrt(2.0 / 3.0);
+    const double scale = sqrt(2.0 / 3.0) * unit;
     *alpha = scale * (abc[0] - 0.5 * (abc[1] + abc[2]));
     *beta = scale * 0.8660254037844386 * (abc[1] - abc[2]);
 }
@@ -152,9 +173,10 @@ static void remember(double past[2], double now)
 static void start(memory *m, const inputs *u, const outputs *y, const parameters *p)
 {
     double v_re, v_im, i_re, i_im, c_re, c_im;
-    to_alpha_beta(u->v_abc, &v_re, &v_im);
-    to_alpha_beta(u->i_abc, &i_re, &i_im);
-    to_alpha_beta(y->v_conv_abc, &c_re, &c_im);
+    to_alpha_beta(u->v_abc, v_unit, &v_re, &v_im);
+    to_alpha_beta(u->i_abc, i_unit, &i_re, &i_im);
+    const double v_dc = dc_unit * u->v_dc;
+    to_alpha_beta(y->v_conv_abc, MODULATES ? 0.5 * v_dc : 1.0, &c_re, &c_im);
     memset(m, 0, sizeof *m);
     m->theta = atan2(v_im, v_re);
     double c = cos(m->theta), s = sin(m->theta);
@@ -164,7 +186,7 @@ static void start(memory *m, const inputs *u, const outputs *y, const parameters
     m->xi_q = c * c_im - s * c_re - p->k_rd * i_d;
     m->i_d[0] = m->i_d[1] = i_d;
     m->i_q[0] = m->i_q[1] = i_q;
-    m->v_dc[0] = m->v_dc[1] = u->v_dc;
+    m->v_dc[0] = m->v_dc[1] = v_dc;
     for (int k = 0; k < 3; k++)
         m->held[k] = y->v_conv_abc[k];
     m->started = 1.0;
@@ -172,9 +194,10 @@ static void start(memory *m, const inputs *u, const outputs *y, const parameters
 
 static void control(memory *m, const inputs *u, outputs *y, const parameters *p)
 {
+    const double v_dc = dc_unit * u->v_dc, v_dc_ref = dc_unit * u->v_dc_ref;
     double v_re, v_im, i_re, i_im;
-    to_alpha_beta(u->v_abc, &v_re, &v_im);
-    to_alpha_beta(u->i_abc, &i_re, &i_im);
+    to_alpha_beta(u->v_abc, v_unit, &v_re, &v_im);
+    to_alpha_beta(u->i_abc, i_unit, &i_re, &i_im);
     double c = cos(m->theta), s = sin(m->theta);
     double v_q = c * v_im - s * v_re, i_d = c * i_re + s * i_im, i_q = c * i_im - s * i_re;
 
@@ -182,11 +205,11 @@ static void control(memory *m, const inputs *u, outputs *y, const parameters *p)
     double lead = p->lead, more = T * (lead - 0.5);
     double v_q_mid = ahead(0.5, v_q, m->v_q);
     double i_d_there = ahead(lead, i_d, m->i_d), i_q_there = ahead(lead, i_q, m->i_q);
-    double v_dc_there = ahead(lead, u->v_dc, m->v_dc);
+    double v_dc_there = ahead(lead, v_dc, m->v_dc);
     remember(m->v_q, v_q);
     remember(m->i_d, i_d);
     remember(m->i_q, i_q);
-    remember(m->v_dc, u->v_dc);
+    remember(m->v_dc, v_dc);
 
     /* PLL: its integrator moves on to the middle of the interval, its angle to the next sample. */
     m->x_pll += T * p->k_pi * v_q;
@@ -195,9 +218,9 @@ static void control(memory *m, const inputs *u, outputs *y, const parameters *p)
     m->theta = remainder(m->theta + T * speed, 2.0 * 3.14159265358979323846);
 
     /* DC voltage; the integrator is held back while the reference is limited. */
-    double error_dc = u->v_dc - u->v_dc_ref, xi_dc_before = m->xi_dc;
+    double error_dc = v_dc - v_dc_ref, xi_dc_before = m->xi_dc;
     m->xi_dc += T * p->k_dci * error_dc;
-    double wanted = p->k_dcp * (v_dc_there - u->v_dc_ref) + m->xi_dc + more * p->k_dci * error_dc;
+    double wanted = p->k_dcp * (v_dc_there - v_dc_ref) + m->xi_dc + more * p->k_dci * error_dc;
     double i_d_ref = fmin(fmax(wanted, -p->i_limit), p->i_limit);
     double i_d_ref_now = p->k_dcp * error_dc + 0.5 * (xi_dc_before + m->xi_dc);
     i_d_ref_now = fmin(fmax(i_d_ref_now, -p->i_limit), p->i_limit);
@@ -210,7 +233,7 @@ static void control(memory *m, const inputs *u, outputs *y, const parameters *p)
     m->xi_q += T * slope_q;
     double d = p->k_p * (i_d_ref - i_d_there) + m->xi_d + more * slope_d - p->k_rd * i_q_there;
     double q = -p->k_p * i_q_there + m->xi_q + more * slope_q + p->k_rd * i_d_there;
-    double size = sqrt(d * d + q * q), limit = u->v_dc * 0.70710678118654752;
+    double size = sqrt(d * d + q * q), limit = v_dc * 0.70710678118654752;
     double share = size > limit ? limit / size : 1.0;
     if (p->k_p > 0.0) {
         m->xi_d += T * p->k_i / p->k_p * (share - 1.0) * d;
@@ -219,6 +242,9 @@ static void control(memory *m, const inputs *u, outputs *y, const parameters *p)
     c = share * cos(angle), s = share * sin(angle);
     double command[3];
     to_abc(c * d - s * q, s * d + c * q, command);
+    if (MODULATES)
+        for (int k = 0; k < 3; k++)
+            command[k] /= 0.5 * v_dc;
     for (int k = 0; k < 3; k++) {
         y->v_conv_abc[k] = p->delay ? m->held[k] : command[k];
         m->held[k] = command[k];
