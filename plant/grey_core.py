@@ -203,10 +203,9 @@ class SampledTurbine:
         def run(first_step: int, n_steps: int) -> np.ndarray:
             nonlocal state
             ((state, record),) = self.run([Job(state, None)], n_steps)
-            v_dc = sqrt(2.0 * state.energy / p.c_dc_f) / p.v_dc_ref_v
-            return np.stack(
-                [record.v / self.rating.peak_voltage_v, record.i / self.rating.peak_current_a, np.full(n_steps, v_dc)]
-            )
+            v_dc = sqrt(2.0 * state.energy / p.c_dc_f) / p.v_dc_ref_v  # a wave that turns with the others
+            dc = v_dc * np.exp(2j * pi * self.f1_hz * record.time_s)
+            return np.stack([record.v / self.rating.peak_voltage_v, record.i / self.rating.peak_current_a, dc])
 
         p = self.parameters
         try:
