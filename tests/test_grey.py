@@ -6,11 +6,15 @@ Figures: ``python -m pytest -s tests/test_grey.py``.
 from __future__ import annotations
 
 import ctypes
+import resource
+import shutil
+import subprocess
 import sys
 import time
 from dataclasses import replace
 from functools import cache
 from math import pi
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +29,7 @@ from seqsweep.plant.grey_circuit import forcing, network
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone, Window
 
 from . import oracle, sampled
+from .commands import SEQSWEEP
 from .controllers import INPUTS, OUTPUTS, build, needs_compiler
 from .test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
 
@@ -250,6 +255,26 @@ def test_an_error_of_the_library_is_told_in_its_own_words():
 
 
 # ---------------------------------------------------------------------- cost
+
+
+@pytest.mark.evidence
+def test_a_hundred_points_take_less_than_twenty_seconds_on_two_cores(tmp_path):
+    """The whole command, warm: wall time, and the CPU time of the runner and its children over two cores."""
+    shutil.copy2(build(), tmp_path / "turbine_controller.so")
+    campaign = Path(__file__).parent.parent / "examples" / "cigre.toml"
+    for snapshot in ("auto", "fork"):
+        used, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+        arguments = ["run", str(campaign), "-o", f"{snapshot}.parquet", "--jobs", "2"]
+        subprocess.run(
+            [SEQSWEEP, *arguments, "--set", f'plant.parameters.snapshot="{snapshot}"'],
+            cwd=tmp_path,
+            check=True,
+            capture_output=True,
+        )
+        wall, after = time.monotonic() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
+        print(f"\n  100 points, snapshot {snapshot}: {wall:.1f} s of wall time, {cpu:.1f} s of CPU time", end="")
+        assert cpu / 2.0 < 20.0
 
 
 @pytest.mark.evidence

@@ -39,7 +39,8 @@ static int32_t fault(tb958_instance *instance)
 #elif defined FAULT_EXIT
     exit(7);
 #elif defined FAULT_SEGV
-    *(volatile int *)8 = 1;
+    static volatile int *volatile nowhere;
+    *nowhere = 1;
 #endif
     (void)instance;
     return TB958_OK;
