@@ -122,7 +122,8 @@ class Controller:
             float_states=self._states[1].address,
             double_states=self._states[2].address,
         )
-        self.time = np.ndarray(1, np.float64, buffer=self._struct, offset=InstanceStruct.time_s.offset)
+        first = InstanceStruct.time_s.offset
+        self.time = np.frombuffer(memoryview(self._struct).cast("B"), np.uint8)[first : first + 8].view(np.float64)
         step = library.function("Model_Outputs")
         assert step is not None
         function = ctypes.cast(step, ctypes.c_void_p).value

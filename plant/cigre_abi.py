@@ -249,7 +249,7 @@ def _info(path: Path, raw: _Info) -> ModelInfo:
         name=_text(raw.name),
         version=_text(raw.version),
         description=_text(raw.description),
-        interface=tuple(raw.interface),  # type: ignore[arg-type]
+        interface=tuple(raw.interface),
         sample_time_s=raw.sample_time_s,
         emt_rms=raw.emt_rms,
         inputs=_named(path, "input port", [_port(path, "input", raw.inputs[k]) for k in range(raw.n_inputs)]),

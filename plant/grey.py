@@ -22,7 +22,8 @@ from typing import Any
 from .branched import Branched, BranchedState, Forwards, Listen, Run, is_whole
 from .branches import Replays
 from .cigre_abi import CigreError, Library
-from .dpmsg_parameters import TABLE_I, TurbineParameters
+from .damping import checked_compensation
+from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .forked import Forks
 from .grey_core import SampledTurbine, warm_up
 from .periodic import Patience
@@ -61,6 +62,8 @@ class GreyTurbine:
         the peak, that ends it.
     snapshot : "auto", "states", "fork" or "copy"
         How states are kept; see `SNAPSHOTS`.
+    damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz : float
+        Damping control at the measurement port, as in `dpmsg.ReferenceTurbine`; sampled with the controller.
     **parameters : float
         Fields of `TurbineParameters` named in `CIRCUIT` to replace, e.g. ``l_c_h=0.2e-3``.
 
@@ -85,6 +88,10 @@ class GreyTurbine:
         settle_s: float = 60.0,
         settle_tolerance: float = 1e-10,
         snapshot: str = "auto",
+        damping_gain: float = 0.0,
+        damping_r_ohm: float = LINE_R_OHM,
+        damping_l_h: float = LINE_L_H,
+        damping_resonance_hz: float = 77.0,
         **parameters: float,
     ):
         if snapshot not in SNAPSHOTS:
@@ -106,6 +113,7 @@ class GreyTurbine:
             _sample_time(library, sample_time_s),
             delay_samples,
             Patience(*_positive(settle_tolerance=settle_tolerance, settle_s=settle_s)),
+            checked_compensation(self.id, [damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz]),
         )
         self._core = core = self._build()
         self.f1_hz, self.dt_s, self.rating, self.operating_range = (

@@ -12,7 +12,7 @@ import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import isfinite, pi, sqrt
+from math import isfinite, pi, sqrt, tan
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,21 @@ from . import dpmsg_equilibrium as stationary
 from . import grey_circuit as circuit
 from .cigre import Controller, ControllerFault, ControllerMemory, private_copy
 from .cigre_abi import Library
+from .damping import NOTCH_XI
 from .dpmsg_parameters import TurbineParameters
 from .periodic import Clock, Patience, until_periodic, voltage_asked
-from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Phasors, Rating, Record, Source, Window
+from .protocol import (
+    Compensation,
+    Job,
+    NotSettled,
+    OperatingPoint,
+    OperatingRange,
+    Phasors,
+    Rating,
+    Record,
+    Source,
+    Window,
+)
 from .sources import series_tones, turns
 from .wiring import Map, wire
 
@@ -52,8 +64,8 @@ class GreyState:
         Samples since the controller was started.
     time_s : float
         Time (s).
-    x : (4,) complex
-        i_L, v_C, i_g (A, V; phase peak, stationary frame) and the command that waits.
+    x : (6,) complex
+        i_L, v_C, i_g (A, V; phase peak, stationary frame), the command that waits, the band pass at the port.
     energy : float
         Of the DC link (J).
     memory : ControllerMemory
@@ -94,6 +106,8 @@ class SampledTurbine:
         Samples by which the converter follows late.
     patience : Patience
         When it counts as settled.
+    block : Compensation
+        What stands at the measurement port, between v_pcc and the controller.
     fresh : bool
         Whether every start takes a new copy of the library, for one that does not start anew by itself.
     """
@@ -114,6 +128,7 @@ class SampledTurbine:
         dt_s: float,
         delay: int,
         patience: Patience,
+        block: Compensation,
         fresh: bool = False,
     ):
         self.parameters, self.dt_s = parameters, dt_s
@@ -123,6 +138,7 @@ class SampledTurbine:
         self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
         self.library = Library(path)
         self._path, self._settings, self._delay, self._patience, self._fresh = path, settings, delay, patience, fresh
+        self._port = _port(block, parameters.w1_rad_s, dt_s)
         self._controller = Controller(self.library, settings)
         self._map = wire(self._controller.input_terminals, self._controller.output_terminals, inputs, outputs)
 
@@ -176,7 +192,8 @@ class SampledTurbine:
             v_source = stationary.thevenin_voltage(p, power_w, voltage_v, source.r_ohm, source.l_h)
         turn = _PHASE_PEAK * cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
         command = rest.v_conv * turn
-        x = np.array([rest.i_l * turn, rest.v_c * turn, rest.i_g * turn, command])
+        i_g = rest.i_g * turn
+        x = np.array([rest.i_l * turn, rest.v_c * turn, i_g, command, *self._port_at_rest(i_g)])
         energy = 0.5 * p.c_dc_f * p.v_dc_ref_v**2
         nothing = ControllerMemory(b"", b"", b"", b"", b"")
         state = GreyState(0, 0.0, x, energy, nothing, v_source * turn, source, power_w, voltage_v)
@@ -287,7 +304,13 @@ class SampledTurbine:
 
         controller = self._controller
         inputs, outputs = _cells(controller.inputs.cells), _cells(controller.outputs.cells)
-        return kernel.Box(controller.addresses, controller.time, inputs, outputs, _wiring(self._map))
+        return kernel.Box(controller.addresses, controller.time, inputs, outputs, _wiring(self._map), self._port)
+
+    def _port_at_rest(self, i_g: complex) -> tuple[complex, complex]:
+        """States of the band pass that lets the fundamental ``i_g`` through whole."""
+        port = self._port
+        before = i_g * turns(-self.f1_hz * self.dt_s)
+        return (1.0 - port.gain) * i_g, -(port.gain + port.a_2) * before
 
     def _surroundings(self, state: GreyState) -> tuple[Any, Any, np.ndarray]:
         """Network, DC link and references, as the kernel takes them."""
@@ -335,6 +358,21 @@ def _forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> 
     return circuit.forcing(p, source, f_hz, dt_s)
 
 
+def _port(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
+    """The compensation as the kernel takes it: the notch by the bilinear rule, exact at its centre."""
+    from .kernels.grey import Port
+
+    centre = tan(0.5 * w1_rad_s * dt_s)
+    share = 1.0 / (1.0 + 2.0 * NOTCH_XI * centre + centre**2)
+    return Port(
+        block.r_ohm,
+        block.x_ohm,
+        2.0 * NOTCH_XI * centre * share,
+        2.0 * (centre**2 - 1.0) * share,
+        (1.0 - 2.0 * NOTCH_XI * centre + centre**2) * share,
+    )
+
+
 def _cells(memory: np.ndarray) -> Any:
     from .kernels.grey import CELL_TYPES, Cells
 
@@ -365,10 +403,10 @@ def warm_up() -> None:
     nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
     cells, wiring = _cells(np.zeros(8, np.uint8)), _wiring(Map((), (), False))
     addresses = np.array([ctypes.cast(nothing, ctypes.c_void_p).value, 0], np.int64)
-    box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring)
+    box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring, kernel.Port(0.0, 0.0, 0.0, 0.0, 0.0))
     source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex))
     network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0)
-    quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(4, complex)
+    quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
     kernel.inform(box, network, store, quantities, x, 0j, 1.0)
     common = (box, source, network, store, 0, quantities, x, 1.0)
     kernel.advance_recording(*common, np.zeros(1, complex), np.zeros(1, complex))

@@ -13,7 +13,7 @@ one of them, `Wiring` says which cell holds which quantity.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -111,6 +111,19 @@ class Store(NamedTuple):
     delay: int
 
 
+class Port(NamedTuple):
+    """What stands between measurement and controller: it is told v - (r_ohm + j x_ohm) H i_g, with H = 1 - B.
+
+    B is a band pass at the fundamental, by the bilinear rule: gain (1 - z^-2) / (1 + a_1 z^-1 + a_2 z^-2).
+    """
+
+    r_ohm: float
+    x_ohm: float
+    gain: float
+    a_1: float
+    a_2: float
+
+
 class Box(NamedTuple):
     """A controller, ready to be called.
 
@@ -124,6 +137,8 @@ class Box(NamedTuple):
         Its memory.
     wiring : Wiring
         What is where.
+    port : Port
+        What it is told instead of v_pcc.
     """
 
     addresses: np.ndarray
@@ -131,6 +146,7 @@ class Box(NamedTuple):
     inputs: Cells
     outputs: Cells
     wiring: Wiring
+    port: Port
 
 
 class Tones(NamedTuple):
@@ -149,8 +165,7 @@ class Tones(NamedTuple):
     forcing: np.ndarray
 
 
-@intrinsic
-def _called(typing_context, function, argument):
+def _call(typing_context, function, argument):
     """Result (int32) of the C function at address ``function``, given the address ``argument``."""
 
     def code(context, builder, signature, arguments):
@@ -158,6 +173,9 @@ def _called(typing_context, function, argument):
         return builder.call(builder.inttoptr(arguments[0], prototype.as_pointer()), [arguments[1]])
 
     return types.int32(types.int64, types.int64), code
+
+
+_called: Any = intrinsic(_call)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -235,6 +253,15 @@ def _observe(x, e, energy, network, store, quantities):
 
 
 @njit(forceinline=True, error_model="numpy")
+def _at_port(port, x, v, i):
+    """What the controller is told instead of ``v``; the band pass moves on by a sample (states x[4], x[5])."""
+    passed = port.gain * i + x[4]
+    x[4] = x[5] - port.a_1 * passed
+    x[5] = -port.gain * i - port.a_2 * passed
+    return v - complex(port.r_ohm, port.x_ohm) * (i - passed)
+
+
+@njit(forceinline=True, error_model="numpy")
 def _voltage(command, x, v_dc, modulated, store):
     """What the averaged converter makes of a command over one step: v_dc / sqrt(3) phase peak at most."""
     u = command
@@ -269,6 +296,8 @@ def _step(box, source, network, store, step, quantities, x, energy):
     for tone in range(len(source.phasors)):
         e += source.phasors[tone]
     v, i = _observe(x, e, energy, network, store, quantities)
+    told = _at_port(box.port, x, v, i)
+    quantities[V_RE], quantities[V_IM] = told.real, told.imag
     box.time[0] = step * store.dt_s
     quantities[TIME] = box.time[0]
     _inform(box, quantities)
@@ -304,8 +333,8 @@ def advance_recording(box, source, network, store, step, quantities, x, energy, 
         Number of the first step since time zero.
     quantities : (N_QUANTITIES,) float
         References set, the rest is filled in.
-    x : (4,) complex
-        States of the network and the command that waits (with a delay); moved on in place.
+    x : (6,) complex
+        States of the network, the command that waits (with a delay) and two of the port; moved on in place.
     energy : float
         Of the DC link (J).
 
