@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes as c
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -330,3 +331,16 @@ def _parameter_words(parameter: Parameter) -> str:
     value = f"{parameter.default!r}" if isinstance(parameter.default, str) else f"{parameter.default:g}"
     about = f"({parameter.type.name}, {parameter.unit or 'no unit'}{limits}): {parameter.description}".rstrip(": ")
     return f"{parameter.name} = {value} {about}"
+
+
+def main() -> None:
+    """``python -m seqsweep.plant.cigre_abi FILE``: print `describe`, in a process that may die of it."""
+    try:
+        print("\n".join(describe(sys.argv[1])))
+    except CigreError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()
