@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .cigre_abi import ERROR, MESSAGE, OK, CigreError, InstanceStruct, Library, Parameter, Port
+from .cigre_abi import MESSAGE, OK, CigreError, InstanceStruct, Library, Parameter, Port
 
 EMT = 1
 
@@ -138,8 +138,10 @@ class Controller:
         self.check()
 
     def end(self) -> None:
-        """Last call of a run."""
-        self._call("Model_Terminate")
+        """Last call of a run; what it returns changes nothing any more."""
+        function = self.library.function("Model_Terminate")
+        if function is not None:
+            function(ctypes.addressof(self._struct))
 
     def memory(self) -> ControllerMemory:
         """Everything declared, as it is now."""
@@ -245,6 +247,3 @@ def _unit(parameter: Parameter) -> str:
 
 def _words(text: bytes | None) -> str:
     return " ".join((text or b"").decode(errors="replace").split())
-
-
-__all__ = ["ERROR", "Controller", "ControllerFault", "ControllerMemory", "Stretch", "Terminal", "private_copy"]

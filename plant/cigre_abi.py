@@ -25,8 +25,8 @@ FUNCTIONS = (
 )
 """What a library may export beside ``Model_GetInfo``; only ``Model_Outputs`` must be there."""
 
-OK, MESSAGE, ERROR = 0, 1, 2
-"""What those functions return."""
+OK, MESSAGE = 0, 1
+"""What those functions return; anything else is an error."""
 
 MOST = 100_000
 """More ports, parameters, states or elements than this are no description but a misread one."""

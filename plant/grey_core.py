@@ -138,6 +138,7 @@ class SampledTurbine:
         self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
         self.library = Library(path)
         self._path, self._settings, self._delay, self._patience, self._fresh = path, settings, delay, patience, fresh
+        self._begun_before = False
         self._port = _port(block, parameters.w1_rad_s, dt_s)
         self._controller = Controller(self.library, settings)
         self._map = wire(self._controller.input_terminals, self._controller.output_terminals, inputs, outputs)
@@ -203,6 +204,9 @@ class SampledTurbine:
         """The controller, begun anew in ``state`` with the outputs that make ``command``."""
         from .kernels import grey as kernel
 
+        if self._begun_before:
+            self._controller.end()
+        self._begun_before = True
         if self._fresh:
             self.library = private_copy(self._path)
         self._controller = controller = Controller(self.library, self._settings)

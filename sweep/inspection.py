@@ -142,8 +142,8 @@ def _library(path: Path) -> Iterator[str]:
     if missing:
         yield f"  no IEEE/CIGRE real-code controller: it lacks {', '.join(missing)}"
     else:
-        yield "  an IEEE/CIGRE real-code controller (TB 958), by its names; to ask it, in a child process, for its ports and"
-        yield f"  parameters: seqsweep check cigre:{path}"
+        yield "  an IEEE/CIGRE real-code controller (TB 958), by its names; for its ports and parameters it is"
+        yield f"  asked, in a child process, by: seqsweep check cigre:{path}"
     yield "  would be executed, in a child process: its initialisers when it is loaded, then these functions"
 
 

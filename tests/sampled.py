@@ -25,16 +25,20 @@ TONE_V = 1e-3
 
 @dataclass(frozen=True)
 class Orbit:
-    """A plant's periodic state, and the state as real numbers (n,): ``moved(x)`` is a state again."""
+    """A plant's periodic state, and the state as real numbers (n,): ``moved(x)`` is a state again.
+
+    ``periods`` fundamental periods hold a whole number of steps.
+    """
 
     plant: Plant
     state: Any
     numbers: Callable[[Any], np.ndarray]
     moved: Callable[[Any, np.ndarray], Any]
+    periods: int = 1
 
     @property
     def steps(self) -> int:
-        return round(1.0 / (self.plant.f1_hz * self.plant.dt_s))
+        return round(self.periods / (self.plant.f1_hz * self.plant.dt_s))
 
     def flow(self, x: np.ndarray, tone: Tone | None = None) -> tuple[np.ndarray, Any]:
         """State one period on, from the state ``x`` under a tone, and the record of that period."""
@@ -78,7 +82,7 @@ def _response(
     x = orbit.numbers(orbit.state)
     zero = np.zeros_like(x)
     forced = _deviation(orbit, x, zero, f, 0.0)[0] + 1j * _deviation(orbit, x, zero, f, -pi / 2.0)[0]
-    turn = np.exp(2j * pi * f / orbit.plant.f1_hz)
+    turn = np.exp(2j * pi * f * orbit.periods / orbit.plant.f1_hz)
     start = np.linalg.solve(turn * np.eye(len(x)) - monodromy, forced)
     _, *real = _deviation(orbit, x, start.real, f, 0.0)
     _, *imaginary = _deviation(orbit, x, start.imag, f, -pi / 2.0)

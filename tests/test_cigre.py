@@ -303,6 +303,11 @@ def test_parameters_that_cannot_be_are_refused(parameters, words):
         make_plant(f"cigre:{build()}", parameters)
 
 
+def test_a_model_for_rms_programs_is_refused():
+    with pytest.raises(PlantError, match="is a model for RMS programs"):
+        make_plant(f"cigre:{build('RMS')}", {"inputs": INPUTS, "outputs": OUTPUTS})
+
+
 def test_a_library_that_names_no_sample_time_needs_one():
     parameters = {"inputs": INPUTS, "outputs": OUTPUTS}
     with pytest.raises(PlantError, match="names no sample time: give sample_time_s, in s"):

@@ -264,10 +264,17 @@ def test_a_crash_in_a_fork_costs_that_branch_alone():
     assert np.all(np.isfinite(record.i))
 
 
-def test_an_error_of_the_library_is_told_in_its_own_words():
-    device = plant("FAULT_ERROR", settings={"FaultTime": 8.5})
+@pytest.mark.parametrize(
+    ("switch", "words"),
+    [
+        ("FAULT_ERROR", r"Model_Outputs refuses at 8.5 s: DC overvoltage, converter blocked"),
+        ("FAULT_NAN", r"output port 'v_conv_abc' is not a finite number at 8.5 s"),
+    ],
+)
+def test_a_fault_of_the_library_is_told_in_words(switch, words):
+    device = plant(switch, settings={"FaultTime": 8.5})
     state = device.settle(POINT, Source())
-    with pytest.raises(ControllerFault, match=r"Model_Outputs refuses at 8.5 s: DC overvoltage, converter blocked"):
+    with pytest.raises(ControllerFault, match=words):
         device.run([Job(state, TONE)], 50_000)
 
 

@@ -55,9 +55,9 @@ def rows_of(output):
 
 
 FAULTS = [
-    ("FAULT_ERROR", "DC overvoltage, converter blocked"),
-    ("FAULT_NAN", "output port 'v_conv_abc' is not a finite number"),
     ("FAULT_ABORT", "SIGABRT"),
+    pytest.param("FAULT_ERROR", "DC overvoltage, converter blocked", marks=pytest.mark.evidence),
+    pytest.param("FAULT_NAN", "output port 'v_conv_abc' is not a finite number", marks=pytest.mark.evidence),
     pytest.param("FAULT_SEGV", "SIGSEGV", marks=pytest.mark.evidence),
     pytest.param("FAULT_EXIT", "exit status 7", marks=pytest.mark.evidence),
     pytest.param("FAULT_ABORT HIDDEN_STATES", "SIGABRT", marks=pytest.mark.evidence),
@@ -80,13 +80,13 @@ def test_a_bad_controller_costs_its_own_points(tmp_path, switches, reason):
 def test_a_controller_that_sleeps_is_ended_by_the_time_limit(tmp_path, switches):
     output = tmp_path / "y.parquet"
     process = start(
-        "run", campaign(tmp_path, "FAULT_SLEEP", *switches, f_hz=(SLOW_HZ,), timeout_s=6), "-o", output, "--jobs", 1
+        "run", campaign(tmp_path, "FAULT_SLEEP", *switches, f_hz=(SLOW_HZ,), timeout_s=2), "-o", output, "--jobs", 1
     )
     process.communicate(timeout=240)
     assert process.returncode == 1
     status, reason = rows_of(output)[SLOW_HZ]
     assert status == "failed"
-    assert "the shot took longer than" in reason
+    assert "took longer than" in reason
     assert not group_members(process.pid)
 
 

@@ -10,7 +10,8 @@
    Space vectors are power-invariant in here, ports are phase quantities: V and A, current out of the
    converter. Switches: HIDDEN_STATES keeps the state in statics instead of the declared arrays,
    BARE exports Model_GetInfo and Model_Outputs alone, SINGLE has float ports, PER_UNIT tells
-   everything differently (see below), UNTIMED names no sample time; see also faults.h. */
+   everything differently (see below), UNTIMED names no sample time, RMS is no
+   model for programs in time; see also faults.h. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -115,7 +116,11 @@ static const tb958_info info = {
 #ifndef UNTIMED
     .sample_time_s = T,
 #endif
+#ifdef RMS
+    .emt_rms = 2,
+#else
     .emt_rms = 1,
+#endif
     .n_inputs = sizeof input_ports / sizeof *input_ports,
     .inputs = input_ports,
     .n_outputs = sizeof output_ports / sizeof *output_ports,
