@@ -8,7 +8,6 @@ arrays. A library that keeps its whole state there can be put back to any moment
 from __future__ import annotations
 
 import ctypes
-import difflib
 import math
 import shutil
 import tempfile
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .cigre_abi import MESSAGE, OK, CigreError, InstanceStruct, Library, Parameter, Port
+from .wiring import Terminal, nearest
 
 EMT = 1
 
@@ -41,16 +41,6 @@ class ControllerMemory(NamedTuple):
     int_states: bytes
     float_states: bytes
     double_states: bytes
-
-
-class Terminal(NamedTuple):
-    """A port as the wiring needs it: ``width`` cells of one type, from the cell ``first`` on."""
-
-    name: str
-    unit: str
-    width: int
-    type: str
-    first: int
 
 
 class Stretch:
@@ -203,8 +193,7 @@ def _parameters(
     by_name = {parameter.name: parameter for parameter in declared}
     for name in settings:
         if name not in by_name:
-            nearest = difflib.get_close_matches(name, by_name, n=1)
-            hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
+            hint = nearest(name, list(by_name))
             raise CigreError(f"settings: {path.name} has no parameter {name!r}{hint}; it has {', '.join(by_name)}")
     layout = np.dtype([(parameter.name, parameter.type.numpy) for parameter in declared], align=True)
     stretch, strings = Stretch("parameters", layout.itemsize), []

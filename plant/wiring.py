@@ -13,8 +13,6 @@ from collections.abc import Mapping, Sequence
 from math import isfinite, pi
 from typing import Any, NamedTuple
 
-from .cigre import Terminal
-
 _DIRECTIONS = {
     "alpha": 1.0,
     "beta": 1j,
@@ -66,6 +64,16 @@ _KEYS = ("signal", "value", "unit", "base", "sign", "override_unit")
 
 class WiringError(ValueError):
     """A signal map that does not fit the controller; the message names the port."""
+
+
+class Terminal(NamedTuple):
+    """A port as the wiring needs it: ``width`` cells of one type, from the cell ``first`` on."""
+
+    name: str
+    unit: str
+    width: int
+    type: str
+    first: int
 
 
 class Input(NamedTuple):
@@ -145,7 +153,7 @@ def _known(key: str, ports: Sequence[Terminal], entries: Mapping[str, Any]) -> N
         raise WiringError(f"{key} is {entries!r}; it must be a table with an entry for each port: {', '.join(known)}")
     for name in entries:
         if name not in known:
-            raise WiringError(f"{key}: there is no port {name!r}{_nearest(name, known)}; there are {', '.join(known)}")
+            raise WiringError(f"{key}: there is no port {name!r}{nearest(name, known)}; there are {', '.join(known)}")
 
 
 def _entry(key: str, port: Terminal, entry: Any) -> dict[str, Any]:
@@ -160,7 +168,7 @@ def _entry(key: str, port: Terminal, entry: Any) -> dict[str, Any]:
         )
     for name in entry:
         if name not in _KEYS:
-            hint = _nearest(name, _KEYS)
+            hint = nearest(name, _KEYS)
             raise WiringError(f"{key}: port {port.name!r} has {name!r}{hint}; an entry has {', '.join(_KEYS)}")
     if ("signal" in entry) == ("value" in entry):
         raise WiringError(f"{key}: port {port.name!r} needs either a signal or a value")
@@ -213,7 +221,7 @@ def _names(key: str, port: Terminal, signal: Any, known: Sequence[str]) -> list[
     names = []
     for name in wanted:
         if name not in known:
-            hint = _nearest(name, known) or f"; known are {', '.join(known)}"
+            hint = nearest(name, known) or f"; known are {', '.join(known)}"
             raise WiringError(f"{key}: port {port.name!r} has the signal {name!r}, which does not exist{hint}")
         vector, _, group = name.rpartition("_")
         names += [f"{vector}_{part}" for part in _GROUPS[group]] if group in _GROUPS else [name]
@@ -291,6 +299,7 @@ def _number(key: str, port: Terminal, name: str, value: Any) -> float:
     return float(value)
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
-    nearest = difflib.get_close_matches(name, known, n=1)
-    return f" (did you mean {nearest[0]!r}?)" if nearest else ""
+def nearest(name: str, known: Sequence[str]) -> str:
+    """A hint in brackets where one of ``known`` is nearly ``name``, else nothing."""
+    close = difflib.get_close_matches(name, known, n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
