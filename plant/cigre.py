@@ -153,7 +153,8 @@ class Controller:
     def refusal(self, name: str) -> ControllerFault:
         """The error that the library left behind when ``name`` failed."""
         text = _words(self._struct.error_message) or "no message"
-        return ControllerFault(f"{name} refuses at {self.time[0]:.6g} s: {text}")
+        before = f" (it had said: {self.messages[-1]})" if self.messages else ""
+        return ControllerFault(f"{name} refuses at {self.time[0]:.6g} s: {text}{before}")
 
     def _call(self, name: str) -> None:
         function = self.library.function(name)

@@ -28,6 +28,8 @@ _DIRECTIONS = {
 _GROUPS = {"abc": ("a", "b", "c"), "alphabeta": ("alpha", "beta"), "ll": ("ab", "bc", "ca")}
 """Names for several components at once."""
 
+_LINE_TO_LINE = ("ll", "ab", "bc", "ca")
+
 _VECTORS = {"v_pcc": ("V", "V_RE"), "i_l": ("A", "I_L_RE"), "i_g": ("A", "I_G_RE")}
 """Vectors that a controller may be told: dimension, and their quantity in the kernel."""
 
@@ -111,9 +113,6 @@ def signal_names() -> tuple[list[str], list[str]]:
     ]
     given = [f"{vector}_{part}" for vector in _COMMANDS for part in parts if part not in _LINE_TO_LINE]
     return [*told, *_SCALARS], given
-
-
-_LINE_TO_LINE = ("ll", "ab", "bc", "ca")
 
 
 def wire(
