@@ -37,7 +37,10 @@ from .test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
 pytestmark = needs_compiler
 
 POINT = OperatingPoint(P_MW * 1e6, U_V)
-BAND = {"f_min_hz": 1.0, "f_max_hz": 500.0, "points": 10}
+BAND = {"f_min_hz": 1.0, "f_max_hz": 500.0, "points": 30}
+FEW = {"f_hz": [5.0, 23.0, 77.0, 150.0, 500.0]}
+"""A thin sweep of the same band, for every day."""
+
 LINE = Source("thevenin", LINE_R_OHM, LINE_L_H)
 TONE = Injection("series_voltage", (Tone(77.0, 0.5),))
 
@@ -47,10 +50,9 @@ def plant(*switches, **parameters):
 
 
 @cache
-def sweep(switch="SAMPLE_TIME_S=20e-6", delay=0, lead=0.5, in_place=False):
-    return swept(
-        plant(switch, delay_samples=delay, settings={"Lead": lead}), BAND, source=IN_PLACE if in_place else None
-    )
+def sweep(switch="SAMPLE_TIME_S=20e-6", delay=0, lead=0.5, in_place=False, whole=False):
+    device = plant(switch, delay_samples=delay, settings={"Lead": lead})
+    return swept(device, BAND if whole else FEW, source=IN_PLACE if in_place else None)
 
 
 def kept(state):
@@ -121,32 +123,44 @@ def test_controls_sampled_every_20_us_are_the_turbine(in_place):
     assert error.max() <= 1e-3
 
 
-SAMPLED = [
-    ("20e-6", 0, True),
-    ("50e-6", 0, False),
-    ("100e-6", 1, False),
-    pytest.param("20e-6", 0, False, marks=pytest.mark.evidence),
-    pytest.param("100e-6", 0, False, marks=pytest.mark.evidence),
-    pytest.param("50e-6", 1, False, marks=pytest.mark.evidence),
-]
-
-
-@pytest.mark.parametrize(("step", "delay", "in_place"), SAMPLED)
-def test_a_sweep_is_the_exact_linearisation_of_the_sampled_model(step, delay, in_place):
-    """The bar asked; what remains is the sweep's own tolerance of 1e-5 between windows."""
+def held_against_both(step, delay, in_place, whole):
+    """Errors against the sampled model's own linearisation, printed beside those against the continuous turbine."""
     switch, lead = f"SAMPLE_TIME_S={step}", 0.5 + delay
-    f_hz, y = sweep(switch, delay, lead, in_place)
+    f_hz, y = sweep(switch, delay, lead, in_place, whole)
     device = plant(switch, delay_samples=delay, settings={"Lead": lead})
     error = relative(y, linearised(device, f_hz, LINE if in_place else None))
-    report(f"{step} s, delay {delay}", error, f_hz, 1e-4)
+    where = "behind the line" if in_place else "ideal source"
+    report(f"{step} s, delay {delay}, {where}", error, f_hz, 1e-4)
     away = relative(y, oracle.admittance_pn(f_hz, P_MW * 1e6, U_V))
     print(f"; {away.max():.1e} from the continuous turbine", end="")
-    assert error.max() <= 1e-4
+    return error
+
+
+@pytest.mark.parametrize(("step", "delay", "in_place"), [("20e-6", 0, True), ("50e-6", 0, False), ("100e-6", 1, False)])
+def test_a_sweep_is_the_exact_linearisation_of_the_sampled_model(step, delay, in_place):
+    """The bar asked; what remains is the sweep's own tolerance of 1e-5 between windows."""
+    assert held_against_both(step, delay, in_place, whole=False).max() <= 1e-4
+
+
+@pytest.mark.evidence
+def test_sweeps_of_the_whole_band_are_the_exact_linearisation_of_the_sampled_model():
+    """The table of docs/cigre.md; 20 us is the turbine within 1e-3 besides."""
+    for step, delay, in_place in [
+        ("20e-6", 0, False),
+        ("20e-6", 0, True),
+        ("50e-6", 0, False),
+        ("100e-6", 0, False),
+        ("50e-6", 1, False),
+        ("100e-6", 1, False),
+    ]:
+        assert held_against_both(step, delay, in_place, whole=True).max() <= 1e-4
+    f_hz, y = sweep(whole=True)
+    assert relative(y, oracle.admittance_pn(f_hz, P_MW * 1e6, U_V)).max() <= 1e-3
 
 
 def test_damping_control_around_the_library_is_the_one_of_the_turbine():
     """k = 0.5 for the line of Table I at 77 Hz, against `dpmsg-v1` with the same; the notch is sampled here."""
-    f_hz, y = swept(plant(damping_gain=0.5), BAND)
+    f_hz, y = swept(plant(damping_gain=0.5), FEW)
     turbine = make_plant("dpmsg-v1", {"damping_gain": 0.5})
     f_turbine, expected = swept(turbine, {"f_hz": f_hz.tolist()})
     assert np.array_equal(f_hz, f_turbine)
