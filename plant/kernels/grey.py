@@ -185,17 +185,17 @@ def _tell(cells, kind, cell, value):
     elif kind == F4:
         cells.f4[cell] = value
     elif kind == I4:
-        cells.i4[cell] = math.floor(value + 0.5)
+        cells.i4[cell] = int(value + math.copysign(0.5, value))
     elif kind == U4:
-        cells.u4[cell] = math.floor(value + 0.5)
+        cells.u4[cell] = int(value + math.copysign(0.5, value))
     elif kind == I2:
-        cells.i2[cell] = math.floor(value + 0.5)
+        cells.i2[cell] = int(value + math.copysign(0.5, value))
     elif kind == U2:
-        cells.u2[cell] = math.floor(value + 0.5)
+        cells.u2[cell] = int(value + math.copysign(0.5, value))
     elif kind == I1:
-        cells.i1[cell] = math.floor(value + 0.5)
+        cells.i1[cell] = int(value + math.copysign(0.5, value))
     else:
-        cells.u1[cell] = math.floor(value + 0.5)
+        cells.u1[cell] = int(value + math.copysign(0.5, value))
 
 
 @njit(forceinline=True, error_model="numpy")
