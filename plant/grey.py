@@ -57,7 +57,7 @@ class GreyTurbine:
         Sample time (s) of a controller that does not say its own.
     delay_samples : 0 or 1
         Samples by which the converter follows late.
-    settle_s, settle_tolerance : float
+    patience_s, settle_tolerance : float
         Simulated time (s) that the search for a steady state may take, and the change from one period to the next, over
         the peak, that ends it.
     snapshot : "auto", "states", "fork" or "copy"
@@ -85,7 +85,7 @@ class GreyTurbine:
         *,
         sample_time_s: float | None = None,
         delay_samples: int = 0,
-        settle_s: float = 60.0,
+        patience_s: float = 60.0,
         settle_tolerance: float = 1e-10,
         snapshot: str = "auto",
         damping_gain: float = 0.0,
@@ -112,7 +112,7 @@ class GreyTurbine:
             _circuit(parameters),
             _sample_time(library, sample_time_s),
             delay_samples,
-            Patience(*_positive(settle_tolerance=settle_tolerance, settle_s=settle_s)),
+            Patience(*_positive(settle_tolerance=settle_tolerance, patience_s=patience_s)),
             checked_compensation(self.id, [damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz]),
         )
         self._core = core = self._build()
@@ -135,7 +135,7 @@ class GreyTurbine:
         ValueError
             If the operating point is outside `operating_range`, or says |v_pcc| twice or not at all.
         NotSettled
-            If the waveforms do not become periodic within ``settle_s``, or run away ("diverged").
+            If the waveforms do not become periodic within ``patience_s``, or run away ("diverged").
         """
         key = operating_point, source
         if key not in self._settled:

@@ -235,7 +235,7 @@ class SampledTurbine:
             advice = (
                 "the closed loop is unstable, or a sign, a unit or a base of the signal map is wrong"
                 if refusal.status == "diverged"
-                else "settle_s sets the time, settle_tolerance the change: 1e-6 for a controller in single precision"
+                else "patience_s sets the time, settle_tolerance the change: 1e-6 for a controller in single precision"
             )
             raise NotSettled(f"{refusal} ({advice})", refusal.status) from None
         return state

@@ -231,13 +231,13 @@ def test_behind_a_grid_the_terminal_voltage_is_what_was_asked_and_the_source_wha
 def test_an_unstable_loop_is_no_steady_state():
     """1.4 Z of Table I is unstable at 0.65 MW: its mode grows, and the turbine leaves synchronism."""
     weak = Source("thevenin", 1.4 * LINE_R_OHM, 1.4 * LINE_L_H)
-    with pytest.raises(NotSettled, match="settle_s sets the time"):
-        plant("SAMPLE_TIME_S=50e-6", settle_s=5.0).settle(POINT, weak)
+    with pytest.raises(NotSettled, match="patience_s sets the time"):
+        plant("SAMPLE_TIME_S=50e-6", patience_s=5.0).settle(POINT, weak)
 
 
 def test_a_wrong_sign_runs_away_and_says_where_to_look():
     turned = {**INPUTS, "i_abc": {"signal": "i_l_abc", "sign": -1}}
-    device = GreyTurbine(f"cigre:{build()}", turned, OUTPUTS, settle_s=5.0)
+    device = GreyTurbine(f"cigre:{build()}", turned, OUTPUTS, patience_s=5.0)
     with pytest.raises(NotSettled, match="signal map"):
         device.settle(POINT, Source())
 
