@@ -8,6 +8,7 @@ It stands outside the controller: between the measurement of v and i at the poin
 from __future__ import annotations
 
 import cmath
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import nan, pi
 from statistics import median
@@ -19,6 +20,14 @@ from .protocol import Compensation
 
 NOTCH_XI = 0.01
 """Damping xi of the notch; its gain G0 is one."""
+
+DAMPING_RANGES = {
+    "damping_gain": (0.0, 2.0, ""),
+    "damping_r_ohm": (0.0, 100.0, " ohm"),
+    "damping_l_h": (0.0, 1.0, " H"),
+    "damping_resonance_hz": (-1000.0, 1000.0, " Hz"),
+}
+"""Parameters of the damping control of a plant: lowest, highest, unit. Frequencies are signed."""
 
 _N_CURRENTS = round(WINDOW_S / SAMPLE_S)
 
@@ -34,6 +43,14 @@ _SLOWEST_DECAY_PER_S = 0.5
 def compensation(k: float, r_ohm: float, l_h: float, resonance_hz: float) -> Compensation:
     """Rv + j w_r Lv with Rv = k R_grid and Lv = k L_grid; ``resonance_hz`` is signed. Eq. (7)."""
     return Compensation(k * r_ohm, k * 2.0 * pi * resonance_hz * l_h)
+
+
+def checked_compensation(plant_id: str, values: Sequence[float]) -> Compensation:
+    """`compensation` of a plant's parameters, in the order of `DAMPING_RANGES`; ValueError out of range."""
+    for (name, (low, high, unit)), value in zip(DAMPING_RANGES.items(), values, strict=True):
+        if not low <= value <= high:
+            raise ValueError(f"{name} is {value:g}{unit}; {plant_id} takes {low:g} to {high:g}{unit}")
+    return compensation(*values)
 
 
 def notch(f_hz: np.ndarray, f1_hz: float = 50.0) -> np.ndarray:

@@ -15,7 +15,7 @@ from math import ceil, pi, sqrt
 import numpy as np
 
 from . import dpmsg_equilibrium as stationary
-from .damping import NOTCH_XI, compensation
+from .damping import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .protocol import (
     Compensation,
@@ -36,14 +36,6 @@ from .sources import check_source, series_tones, turns
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
-
-_DAMPING_RANGES = {
-    "damping_gain": (0.0, 2.0, ""),
-    "damping_r_ohm": (0.0, 100.0, " ohm"),
-    "damping_l_h": (0.0, 1.0, " H"),
-    "damping_resonance_hz": (-1000.0, 1000.0, " Hz"),
-}
-"""Parameters of the damping control: lowest, highest, unit. Frequencies are signed."""
 
 _INTEGRATORS = ("rk4", "emt")
 
@@ -121,16 +113,13 @@ class ReferenceTurbine:
     ):
         unknown = sorted(set(parameters) - set(TurbineParameters._fields))
         if unknown:
-            known = (*_DAMPING_RANGES, "integrator", *TurbineParameters._fields)
+            known = (*DAMPING_RANGES, "integrator", *TurbineParameters._fields)
             raise ValueError(f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
         damping = [float(x) for x in (damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz)]
-        for (name, (low, high, unit)), value in zip(_DAMPING_RANGES.items(), damping, strict=True):
-            if not low <= value <= high:
-                raise ValueError(f"{name} is {value:g}{unit}; {self.id} takes {low:g} to {high:g}{unit}")
         if not 0.0 < dt_s <= 5e-4:
             raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
-        self.compensation = compensation(*damping)
+        self.compensation = checked_compensation(self.id, damping)
         self.integrator = _checked_integrator(integrator, self.compensation)
         self.dt_s = float(dt_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)

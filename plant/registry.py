@@ -30,6 +30,7 @@ ENTRY_POINT_GROUP = "seqsweep.plants"
 
 _KINDS = {
     "fmu": "seqsweep.plant.fmu:fmu_plant",
+    "cigre": "seqsweep.plant.grey:around_library",
     "process": "seqsweep.plant.process:process_plant",
 }
 """Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""
@@ -328,3 +329,4 @@ def _did_you_mean(given: str, known: Iterable[str]) -> str:
 
 register("branch-v1", "seqsweep.plant.branch:RLBranch")
 register("dpmsg-v1", "seqsweep.plant.dpmsg:ReferenceTurbine")
+register("dpmsg-grey-v1", "seqsweep.plant.grey:GreyTurbine", black_box=True)

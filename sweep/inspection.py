@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ast
 import platform
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,12 @@ CHECK_S = 600.0
 SHOWN = 40
 """Variables and functions that are listed of each sort."""
 
-_CONTROLLER = ("Model_GetInfo", "Model_CheckParameters", "Model_Initialize", "Model_Outputs")
+INTRODUCTION_S = 60.0
+"""Wall time (s) that a real-code controller may take to say what it is."""
+
+_ASKED = "cigre:"
+
+_CONTROLLER = ("Model_GetInfo", "Model_Outputs")
 
 
 class InspectionError(ValueError):
@@ -57,8 +64,8 @@ def findings_of_campaign(path: Path) -> Sequence[Finding]:
 
 
 def is_inspected(what: str) -> bool:
-    """Whether ``what`` names a file to read, not a plant to drive."""
-    return Path(what).suffix.lower() in _READERS and Path(what).is_file()
+    """Whether ``what`` names a file to read, or a controller to ask, not a plant to drive."""
+    return what.startswith(_ASKED) or (Path(what).suffix.lower() in _READERS and Path(what).is_file())
 
 
 def inspect(path: Path) -> str:
@@ -69,7 +76,25 @@ def inspect(path: Path) -> str:
     ValueError
         If it is not what its name says, or unfit to be unpacked.
     """
+    if str(path).startswith(_ASKED):
+        return _introduction(Path(str(path).removeprefix(_ASKED)))
     return "\n".join(_READERS[path.suffix.lower()](path))
+
+
+def _introduction(path: Path) -> str:
+    """What a real-code controller says of itself, asked in a process of its own: it is loaded, but not stepped."""
+    command = [sys.executable, "-m", "seqsweep.plant.cigre_abi", str(path)]
+    try:
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=INTRODUCTION_S)
+    except subprocess.TimeoutExpired:
+        raise InspectionError(f"{path} took longer than {INTRODUCTION_S:g} s to say what it is") from None
+    if done.returncode:
+        words = done.stderr.strip().splitlines()
+        ending = f"signal {-done.returncode}" if done.returncode < 0 else f"exit status {done.returncode}"
+        raise InspectionError(
+            words[-1] if words and done.returncode == 2 else f"{path} cannot say what it is: {ending}"
+        )
+    return done.stdout.rstrip()
 
 
 def _fmu(path: Path) -> Iterator[str]:
@@ -117,7 +142,8 @@ def _library(path: Path) -> Iterator[str]:
     if missing:
         yield f"  no IEEE/CIGRE real-code controller: it lacks {', '.join(missing)}"
     else:
-        yield "  an IEEE/CIGRE real-code controller (TB 958), by its names"
+        yield "  an IEEE/CIGRE real-code controller (TB 958), by its names; for its ports and parameters it is"
+        yield f"  asked, in a child process, by: seqsweep check cigre:{path}"
     yield "  would be executed, in a child process: its initialisers when it is loaded, then these functions"
 
 

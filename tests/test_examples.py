@@ -12,6 +12,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
+SOURCES = EXAMPLES.parent / "tests" / "boxes"
 
 
 def output_of(*command: str, cwd: Path) -> str:
@@ -88,3 +89,13 @@ def test_the_adaptive_points_are_drawn(tmp_path: Path) -> None:
     assert int(found[1]) <= 30
     assert float(found[3]) <= float(found[2]) <= 1e-3
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc): the example's library cannot be built")
+def test_a_real_code_controller_is_swept_in_the_turbines_circuit(tmp_path: Path) -> None:
+    library = ["-o", "turbine_controller.so", str(SOURCES / "turbine_controller.c"), "-lm"]
+    output_of("cc", "-O2", "-shared", "-fPIC", *library, cwd=tmp_path)
+    table = str(tmp_path / "y.parquet")
+    campaign = str(EXAMPLES / "cigre.toml")
+    output_of(SEQSWEEP, "run", campaign, "-o", table, "--set", "sweep.points=4", cwd=tmp_path)
+    output_of(SEQSWEEP, "validate", table, cwd=tmp_path)

@@ -1,0 +1,418 @@
+"""The turbine's circuit stepped with a controller in it: states in hand, as far as the controller declares its own.
+
+Between two samples the circuit is advanced exactly (`grey_circuit`); the controller is called by its
+address from a compiled loop (`kernels.grey`). A state is put back before every job, so jobs may come in any
+order where the controller declares all that it remembers; else they must follow one another.
+"""
+
+from __future__ import annotations
+
+import cmath
+import ctypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import isfinite, pi, sqrt, tan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import dpmsg_equilibrium as stationary
+from . import grey_circuit as circuit
+from .cigre import Controller, ControllerFault, ControllerMemory, private_copy
+from .cigre_abi import Library
+from .damping import NOTCH_XI
+from .dpmsg_parameters import TurbineParameters
+from .periodic import Clock, Patience, until_periodic, voltage_asked
+from .protocol import (
+    Compensation,
+    Job,
+    NotSettled,
+    OperatingPoint,
+    OperatingRange,
+    Phasors,
+    Rating,
+    Record,
+    Source,
+    Window,
+)
+from .sources import series_tones, turns
+from .wiring import Map, wire
+
+_PHASE_PEAK = sqrt(2.0 / 3.0)
+"""Power-invariant (line-to-line RMS) to phase peak."""
+
+POWER_W = (0.05e6, 1.35e6)
+"""Active power that the machine side can deliver: that of the reference turbine."""
+
+VOLTAGE_PU = (0.85, 1.15)
+
+HELD = 1e-9
+"""Mismatch of |v_pcc| behind a grid that is accepted, relative."""
+
+HELD_TRIALS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GreyState:
+    """Circuit and controller at one sample; opaque to everybody else.
+
+    Attributes
+    ----------
+    step : int
+        Samples since the controller was started.
+    time_s : float
+        Time (s).
+    x : (6,) complex
+        i_L, v_C, i_g (A, V; phase peak, stationary frame), the command that waits, the band pass at the port.
+    energy : float
+        Of the DC link (J).
+    memory : ControllerMemory
+        What the controller declares it remembers.
+    v_source : complex
+        Source voltage at time zero (V, phase peak).
+    source : Source
+        What feeds the PCC.
+    power_w, voltage_v : float
+        References of the operating point: P_machine (W) and |v_pcc| (V, line-to-line RMS).
+    """
+
+    step: int
+    time_s: float
+    x: np.ndarray
+    energy: float
+    memory: ControllerMemory
+    v_source: complex
+    source: Source
+    power_w: float
+    voltage_v: float
+
+
+class SampledTurbine:
+    """A controller of a TB 958 library in the turbine's circuit; `GreyTurbine` is what users meet.
+
+    Parameters
+    ----------
+    path : path
+        The library; it is loaded into this process.
+    inputs, outputs, settings : mapping
+        Signal map and parameters of the controller.
+    parameters : TurbineParameters
+        Those of the circuit.
+    dt_s : float
+        Sample time (s).
+    delay : 0 or 1
+        Samples by which the converter follows late.
+    patience : Patience
+        When it counts as settled.
+    block : Compensation
+        What stands at the measurement port, between v_pcc and the controller.
+    fresh : bool
+        Whether every start takes a new copy of the library, for one that does not start anew by itself.
+    """
+
+    id = "dpmsg-grey-v1"
+    power_meaning = (
+        "P_machine: constant power into the DC link, which the lossless converter carries at rest where its control "
+        "holds v_dc; not of the PCC"
+    )
+
+    def __init__(
+        self,
+        path: Path,
+        inputs: Mapping[str, Any],
+        outputs: Mapping[str, Any],
+        settings: Mapping[str, Any],
+        parameters: TurbineParameters,
+        dt_s: float,
+        delay: int,
+        patience: Patience,
+        block: Compensation,
+        fresh: bool = False,
+    ):
+        self.parameters, self.dt_s = parameters, dt_s
+        self.f1_hz = parameters.w1_rad_s / (2.0 * pi)
+        self.rating = Rating(parameters.u_rated_v, parameters.s_rated_va)
+        low, high = VOLTAGE_PU
+        self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
+        self.library = Library(path)
+        self._path, self._settings, self._delay, self._patience, self._fresh = path, settings, delay, patience, fresh
+        self._begun_before = False
+        self._port = _port(block, parameters.w1_rad_s, dt_s)
+        self._controller = Controller(self.library, settings)
+        self._map = wire(self._controller.input_terminals, self._controller.output_terminals, inputs, outputs)
+
+    # ------------------------------------------------------------------ steady state
+
+    def settle(self, operating_point: OperatingPoint, source: Source) -> GreyState:
+        """The periodic steady state, reached by running; see `Plant.settle`.
+
+        The circuit starts at the reference turbine's equilibrium, the controller as its library starts it, told the
+        outputs that belong there.
+        """
+        voltage_v = voltage_asked(operating_point, source, self.operating_range, self.rating, self.id)
+        if source.kind == "ideal":
+            return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
+        if source.voltage_v is None:
+            return self._held(self._periodic(self._start(operating_point.active_power_w, voltage_v, source)))
+        try:
+            voltage_v = stationary.terminal_voltage_for_source(
+                self.parameters, operating_point.active_power_w, voltage_v, source.r_ohm, source.l_h
+            )
+        except ValueError as error:
+            raise NotSettled(str(error)) from None
+        return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
+
+    def _held(self, state: GreyState) -> GreyState:
+        """Onwards to the source voltage at which |v_pcc| is what is asked, by secant steps on its size."""
+        factor, before = 1.0, None
+        for _ in range(HELD_TRIALS):
+            ((state, record),) = self.run([Job(state, None)], Clock(self.f1_hz, self.dt_s).period_steps)
+            found = abs(np.mean(record.v * np.exp(-2j * pi * self.f1_hz * record.time_s)))
+            excess = float(found / (_PHASE_PEAK * state.voltage_v)) - 1.0
+            if abs(excess) <= HELD:
+                return state
+            slope = 1.0 if before is None else (excess - before[1]) / (factor - before[0])
+            if not slope > 0.0:
+                break
+            before, step = (factor, excess), max(-0.05, min(0.05, -excess / slope))
+            state = self._periodic(replace(state, v_source=state.v_source * (factor + step) / factor))
+            factor += step
+        raise NotSettled(
+            f"|v_pcc| stays {excess:+.2g} away from the {state.voltage_v:g} V asked, whatever the source voltage: the "
+            "grid cannot carry the power, or the controller holds the voltage itself"
+        )
+
+    def _start(self, power_w: float, voltage_v: float, source: Source) -> GreyState:
+        """Circuit and controller at time zero."""
+        p = self.parameters
+        rest = stationary.grid_side_equilibrium(p, power_w, voltage_v)
+        v_source = rest.v_pcc
+        if source.kind == "thevenin":
+            v_source = stationary.thevenin_voltage(p, power_w, voltage_v, source.r_ohm, source.l_h)
+        turn = _PHASE_PEAK * cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
+        command = rest.v_conv * turn
+        i_g = rest.i_g * turn
+        x = np.array([rest.i_l * turn, rest.v_c * turn, i_g, command, *self._port_at_rest(i_g)])
+        energy = 0.5 * p.c_dc_f * p.v_dc_ref_v**2
+        nothing = ControllerMemory(b"", b"", b"", b"", b"")
+        state = GreyState(0, 0.0, x, energy, nothing, v_source * turn, source, power_w, voltage_v)
+        return replace(state, memory=self._begun(state, command))
+
+    def _begun(self, state: GreyState, command: complex) -> ControllerMemory:
+        """The controller, begun anew in ``state`` with the outputs that make ``command``."""
+        from .kernels import grey as kernel
+
+        if self._begun_before:
+            self._controller.end()
+        self._begun_before = True
+        if self._fresh:
+            self.library = private_copy(self._path)
+        self._controller = controller = Controller(self.library, self._settings)
+        network, store, quantities = self._surroundings(state)
+        box = self._box()
+        v_dc = kernel.inform(box, network, store, quantities, state.x, state.v_source, state.energy)
+        per = 0.5 * v_dc if self._map.modulated else 1.0
+        for part in self._map.outputs:
+            value = (command * part.direction.conjugate()).real * part.gain / per
+            getattr(box.outputs, part.type)[part.cell] = value
+        controller.start()
+        return controller.memory()
+
+    def _periodic(self, state: GreyState) -> GreyState:
+        def run(first_step: int, n_steps: int) -> np.ndarray:
+            nonlocal state
+            ((state, record),) = self.run([Job(state, None)], n_steps)
+            v_dc = sqrt(2.0 * state.energy / p.c_dc_f) / p.v_dc_ref_v  # a wave that turns with the others
+            dc = v_dc * np.exp(2j * pi * self.f1_hz * record.time_s)
+            return np.stack([record.v / self.rating.peak_voltage_v, record.i / self.rating.peak_current_a, dc])
+
+        p = self.parameters
+        try:
+            until_periodic(run, Clock(self.f1_hz, self.dt_s), self._patience)
+        except NotSettled as refusal:
+            advice = (
+                "the closed loop is unstable, or a sign, a unit or a base of the signal map is wrong"
+                if refusal.status == "diverged"
+                else "patience_s sets the time, settle_tolerance the change: 1e-6 for a controller in single precision"
+            )
+            raise NotSettled(f"{refusal} ({advice})", refusal.status) from None
+        return state
+
+    # ------------------------------------------------------------------ driving
+
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[GreyState, Record]]:
+        """Run every job ``n_steps`` further; see `Plant.run`."""
+        return [self._run_one(job, n_steps) for job in jobs]
+
+    def run_phasors(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
+    ) -> list[tuple[GreyState, Phasors]]:
+        """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
+        return [self._listen_one(job, window, block_steps, n_blocks) for job, window in zip(jobs, windows, strict=True)]
+
+    def _run_one(self, job: Job, n_steps: int) -> tuple[GreyState, Record]:
+        from .kernels import grey as kernel
+
+        v, i = np.full(n_steps, np.nan, complex), np.full(n_steps, np.nan, complex)
+        end = self._advance(job, n_steps, kernel.advance_recording, v, i)
+        return end, Record(job.state.time_s, self.dt_s, v, -i, self.f1_hz, "load", self.id)
+
+    def _listen_one(self, job: Job, window: Window, block_steps: int, n_blocks: int) -> tuple[GreyState, Phasors]:
+        from .kernels import grey as kernel
+
+        lines_hz, first_s = (window.f_hz, 2.0 * self.f1_hz - window.f_hz), job.state.step * self.dt_s
+        steps_per_window = window.n_blocks * block_steps
+        sums = np.zeros((n_blocks, 4), complex)
+        end = self._advance(
+            job,
+            n_blocks * block_steps,
+            kernel.advance_blocks,
+            np.array([turns(-f_hz * first_s) for f_hz in lines_hz]),
+            np.array([turns(-f_hz * self.dt_s) for f_hz in lines_hz]),
+            turns((window.first_block % window.n_blocks) / window.n_blocks),
+            turns(1.0 / steps_per_window),
+            block_steps,
+            sums,
+        )
+        if not isfinite(end.energy):
+            sums[:] = np.nan
+        sums /= kernel.TAPER_MEAN * steps_per_window
+        return end, Phasors(sums[:, :2].copy(), -sums[:, 2:])
+
+    def _advance(self, job: Job, n_steps: int, kernel_of: Any, *listening: Any) -> GreyState:
+        """Put everything back to the job's state, go on, and keep where it ended."""
+        from .kernels import grey as kernel
+
+        state, controller = job.state, self._controller
+        controller.restore(state.memory)
+        x = state.x.copy()
+        network, store, quantities = self._surroundings(state)
+        energy, how = kernel_of(
+            self._box(), self._tones(job), network, store, state.step, quantities, x, state.energy, *listening
+        )
+        controller.check()
+        if how == kernel.REFUSED:
+            raise controller.refusal("Model_Outputs")
+        if how == kernel.NOT_A_NUMBER:
+            raise ControllerFault(f"{self._silent_port()} is not a finite number at {controller.time[0]:.6g} s")
+        if how == kernel.EMPTY:
+            energy = np.nan  # the DC link is empty: nothing is left to go on from
+        step = state.step + n_steps
+        return replace(state, step=step, time_s=step * self.dt_s, x=x, energy=energy, memory=controller.memory())
+
+    def _box(self) -> Any:
+        """The controller as the kernel takes it."""
+        from .kernels import grey as kernel
+
+        controller = self._controller
+        inputs, outputs = _cells(controller.inputs.cells), _cells(controller.outputs.cells)
+        return kernel.Box(controller.addresses, controller.time, inputs, outputs, _wiring(self._map), self._port)
+
+    def _port_at_rest(self, i_g: complex) -> tuple[complex, complex]:
+        """States of the band pass that lets the fundamental ``i_g`` through whole."""
+        port = self._port
+        before = i_g * turns(-self.f1_hz * self.dt_s)
+        return (1.0 - port.gain) * i_g, -(port.gain + port.a_2) * before
+
+    def _surroundings(self, state: GreyState) -> tuple[Any, Any, np.ndarray]:
+        """Network, DC link and references, as the kernel takes them."""
+        from .kernels import grey as kernel
+
+        quantities = np.zeros(kernel.N_QUANTITIES)
+        quantities[kernel.P_REF], quantities[kernel.V_REF], quantities[kernel.ONE] = state.power_w, state.voltage_v, 1.0
+        store = kernel.Store(self.parameters.c_dc_f, state.power_w, self.dt_s, self._delay)
+        return _network(self.parameters, state.source, self.dt_s), store, quantities
+
+    def _tones(self, job: Job) -> Any:
+        """The source as the kernel takes it, the fundamental first."""
+        from .kernels import grey as kernel
+
+        state, source = job.state, job.state.source
+        tones = [
+            (self.f1_hz, state.v_source),
+            *series_tones(job.injection, source, lambda f_hz: circuit.impedance(source, f_hz)),
+        ]
+        first_s = state.step * self.dt_s
+        return kernel.Tones(
+            np.array([amplitude * turns(f_hz * first_s) for f_hz, amplitude in tones]),
+            np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
+            np.array([_forcing(self.parameters, source, f_hz, self.dt_s) for f_hz, _ in tones]),
+        )
+
+    def _silent_port(self) -> str:
+        """The first wired output that is not finite, in words."""
+        cells = _cells(self._controller.outputs.cells)
+        for part in self._map.outputs:
+            if not isfinite(getattr(cells, part.type)[part.cell]):
+                for port in self._controller.output_terminals:
+                    if port.type == part.type and port.first <= part.cell < port.first + port.width:
+                        return f"output port {port.name!r}"
+        return "an output"
+
+
+@lru_cache(maxsize=64)
+def _network(p: TurbineParameters, source: Source, dt_s: float) -> Any:
+    return circuit.network(p, source, dt_s)
+
+
+@lru_cache(maxsize=4096)
+def _forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
+    return circuit.forcing(p, source, f_hz, dt_s)
+
+
+def _port(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
+    """The compensation as the kernel takes it: the notch by the bilinear rule, exact at its centre."""
+    from .kernels.grey import Port
+
+    centre = tan(0.5 * w1_rad_s * dt_s)
+    share = 1.0 / (1.0 + 2.0 * NOTCH_XI * centre + centre**2)
+    return Port(
+        block.r_ohm,
+        block.x_ohm,
+        2.0 * NOTCH_XI * centre * share,
+        2.0 * (centre**2 - 1.0) * share,
+        (1.0 - 2.0 * NOTCH_XI * centre + centre**2) * share,
+    )
+
+
+def _cells(memory: np.ndarray) -> Any:
+    from .kernels.grey import CELL_TYPES, Cells
+
+    return Cells(*(memory.view(kind) for kind in CELL_TYPES))
+
+
+def _wiring(signals: Map) -> Any:
+    from .kernels import grey as kernel
+
+    kinds = {name: kind for kind, name in enumerate(kernel.CELL_TYPES)}
+    inputs, outputs = signals.inputs, signals.outputs
+    return kernel.Wiring(
+        np.array([kinds[part.type] for part in inputs], np.int64),
+        np.array([part.cell for part in inputs], np.int64),
+        np.array([getattr(kernel, part.quantity) for part in inputs], np.int64),
+        np.array([part.gain for part in inputs], float).reshape(-1, 2),
+        np.array([kinds[part.type] for part in outputs], np.int64),
+        np.array([part.cell for part in outputs], np.int64),
+        np.array([part.weight for part in outputs], complex),
+        signals.modulated,
+    )
+
+
+def warm_up() -> None:
+    """Compile or load the kernels, by a controller that does nothing."""
+    from .kernels import grey as kernel
+
+    nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
+    cells, wiring = _cells(np.zeros(8, np.uint8)), _wiring(Map((), (), False))
+    addresses = np.array([ctypes.cast(nothing, ctypes.c_void_p).value, 0], np.int64)
+    box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring, kernel.Port(0.0, 0.0, 0.0, 0.0, 0.0))
+    source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex))
+    network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0)
+    quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
+    kernel.inform(box, network, store, quantities, x, 0j, 1.0)
+    common = (box, source, network, store, 0, quantities, x, 1.0)
+    kernel.advance_recording(*common, np.zeros(1, complex), np.zeros(1, complex))
+    lines = np.ones(2, complex)
+    kernel.advance_blocks(*common, lines, lines, 1j, 1j, 1, np.zeros((1, 4), complex))
