@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .joint import Line, Phases, Segments, Solution, Waveforms, constant, follow, from_segment, project, solve
+from .joint import Line, Phases, Segments, Solution, Waveforms, constant, dirichlet, follow, from_segment, project, solve
 
 SEGMENTS = 48
 """Segments aimed at: their scatter is the uncertainty."""
@@ -19,7 +19,7 @@ SEGMENTS = 48
 SEGMENT_S = (0.02, 0.25)
 """Shortest and longest segment (s)."""
 
-SPECTRUM_SAMPLES = 1 << 17
+SPECTRUM_SAMPLES = 1 << 16
 """Longest stretch in which lines of the background are looked for."""
 
 ABOVE_NOISE = 6.0
@@ -113,10 +113,10 @@ def fundamental(waveforms: Waveforms, start: int, stop: int) -> float:
     if not band.any() or not np.max(spectrum[band]) > 0.0:
         raise HearingError(f"no fundamental between {F1_BAND_HZ[0]:g} and {F1_BAND_HZ[1]:g} Hz in the voltage")
     peak = int(np.argmax(np.where(band, spectrum, 0.0)))
-    return float(_interpolated(spectrum, peak) / (n * waveforms.dt_s))
+    return float(interpolated(spectrum, peak) / (n * waveforms.dt_s))
 
 
-def _interpolated(spectrum: np.ndarray, peak: int) -> float:
+def interpolated(spectrum: np.ndarray, peak: int) -> float:
     """Bin of a line under a Hann taper between its two strongest bins."""
     n = len(spectrum)
     left, right = spectrum[(peak - 1) % n], spectrum[(peak + 1) % n]
@@ -175,10 +175,10 @@ def _hear(segments: Segments, lines: list[Line], n_tones: int, f1_hz: float, unk
         notes.append(f"{segments.dropped} of {len(segments.t_s) + segments.dropped} segments hold missing samples: left out")
     phases, f1_hz, drift_hz = _fundamental_phases(segments, lines, f1_hz, unknown_f1)
     if n_tones == 1:
-        lines, moved = _tone_as_it_is(segments, lines, phases)
-        notes += moved
-        if moved and unknown_f1:
-            phases, f1_hz, drift_hz = _fundamental_phases(segments, lines, f1_hz, unknown_f1)
+        found = _tone_as_it_is(segments, lines, phases)
+        if found != lines and unknown_f1:
+            phases, f1_hz, drift_hz = _fundamental_phases(segments, found, f1_hz, unknown_f1)
+        lines = found
     solution = solve(segments, lines, phases)
     first = _first_steady(solution, 1 + 2 * n_tones)
     if first:
@@ -282,26 +282,21 @@ def _smooth(t_s: np.ndarray, angle: np.ndarray) -> np.polynomial.Polynomial:
     return candidates[int(np.argmin(scores))]
 
 
-def _tone_as_it_is(segments: Segments, lines: list[Line], phases: Phases) -> tuple[list[Line], list[str]]:
+def _tone_as_it_is(segments: Segments, lines: list[Line], phases: Phases) -> list[Line]:
     """The tone at the frequency at which its angle stands still; recorder and source have clocks of their own."""
-    asked = lines[1].offset_hz
     for _ in range(6):
         solution = solve(segments, lines, phases)
         followed = follow(segments, lines, phases, solution, 1)
         heard = np.abs(followed.mean(axis=0)) / (np.std(followed, axis=0) + 1e-300)
         x = followed[:, int(np.argmax(heard))]
         if not np.max(heard) > 0.3:
-            return lines, []
+            break
         slope, noise = _turning(segments.t_s, x)
         if abs(slope) * np.ptp(segments.t_s) < max(HOLD, 5.0 * noise * np.ptp(segments.t_s)):
             break
         f_hz = lines[1].offset_hz + slope / (2.0 * np.pi)
         lines = [lines[0], Line(0, f_hz), Line(2, -f_hz), *lines[3:]]
-    found = lines[1].offset_hz
-    if found == asked:
-        return lines, []
-    ppm = (found / asked - 1.0) * 1e6
-    return lines, [f"the tone is at {found:.8g} Hz, not at {asked:.8g} Hz: the clocks differ by {ppm:.3g} ppm"]
+    return lines
 
 
 def _turning(t_s: np.ndarray, x: np.ndarray) -> tuple[float, float]:
@@ -348,32 +343,36 @@ def _named(f_hz: float, f1_hz: float, own: list[Line], tolerance: float) -> Line
 def _peaks(channels: tuple[np.ndarray, ...], dt_s: float, known_hz: list[float], n: int) -> list[float]:
     """Frequencies of lines above the noise, strongest first, but for those known."""
     found: dict[float, float] = {}
-    f_hz = np.fft.fftfreq(n, dt_s)
+    window = np.hanning(n) / (0.5 * n)
+    basis = np.exp(2j * np.pi * np.outer(known_hz, dt_s * (np.arange(n) - 0.5 * (n - 1))))
+    apart = np.pi * dt_s * np.subtract.outer(known_hz, known_hz)
+    inverse_gram = np.linalg.pinv(dirichlet(apart, n), rcond=1e-12, hermitian=True)
     for x in channels:
-        clean, lines = _taken_off(np.where(np.isfinite(x), x, 0.0), dt_s, known_hz)
-        size = np.abs(np.fft.fft(clean * np.hanning(n))) / (0.5 * n)
+        clean, lines = taken_off(np.where(np.isfinite(x), x, 0.0), basis, inverse_gram)
+        size = np.abs(np.fft.fft(clean * window))
         tone = float(np.max(np.abs(lines[1:3]), initial=0.0))
-        floor = np.maximum(ABOVE_NOISE * _neighbourhood(size), LEAST_LINE * tone)
+        floor = np.maximum(ABOVE_NOISE * neighbourhood(size), LEAST_LINE * tone)
         top = (size > floor) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
         for k in np.flatnonzero(top):
-            found[_interpolated(size, int(k)) / (n * dt_s)] = float(size[k] / floor[k])
-    return sorted((f for f in found if np.min(np.abs(f - np.array(known_hz))) > 0.0), key=lambda f: -found[f])[:MOST_LINES]
+            found[interpolated(size, int(k)) / (n * dt_s)] = float(size[k] / floor[k])
+    return sorted(found, key=lambda f: -found[f])[:MOST_LINES]
 
 
-def _taken_off(x: np.ndarray, dt_s: float, known_hz: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    """``x`` without the known lines, by least squares over the whole of it, so that they hide no neighbour; the lines."""
-    basis = np.exp(2j * np.pi * np.outer(dt_s * (np.arange(len(x)) - 0.5 * len(x)), known_hz))
-    a, *_ = np.linalg.lstsq(basis.conj().T @ basis, basis.conj().T @ x, rcond=1e-12)
-    return x - basis @ a, a
+def taken_off(x: np.ndarray, basis: np.ndarray, inverse_gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``x`` (n,) without its least-squares part in the rows of ``basis`` (k, n), and that part's coefficients (k,).
+
+    Sums of products, not matrix products: the same bytes in every thread.
+    """
+    a = np.einsum("kj,j->k", inverse_gram, np.einsum("kn,n->k", basis, x.conj()).conj())
+    return x - np.einsum("k,kn->n", a, basis), a
 
 
-def _neighbourhood(size: np.ndarray, width: int = 64) -> np.ndarray:
-    """Median of ``size`` in portions of ``width`` bins, per bin."""
+def neighbourhood(size: np.ndarray, width: int = 64) -> np.ndarray:
+    """Median of ``size`` (n,) in portions of ``width`` bins, per bin; the last portion is the one before continued."""
     n = len(size)
-    portions = max(1, n // width)
-    edges = np.linspace(0, n, portions + 1).astype(int)
-    medians = np.array([np.median(size[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)])
-    return np.repeat(medians, np.diff(edges))
+    width = min(width, n)
+    medians = np.median(size[: n // width * width].reshape(-1, width), axis=1)
+    return medians[np.minimum(np.arange(n) // width, len(medians) - 1)]
 
 
 def _first_steady(solution: Solution, n_own: int) -> int:

@@ -183,10 +183,10 @@ def _speeds(lines: list[Line], phases: Phases) -> np.ndarray:
 def _kernel(segments: Segments, lines: list[Line], phases: Phases) -> np.ndarray:
     """What a unit line (m, k) leaves in the projections: (m, l, k) float."""
     apart = _speeds(lines, phases)[:, None, :] - 2.0 * np.pi * segments.lines_hz[None, :, None]
-    return _dirichlet(0.5 * apart * segments.dt_s, segments.n_steps)
+    return dirichlet(0.5 * apart * segments.dt_s, segments.n_steps)
 
 
-def _dirichlet(half_angle: np.ndarray, n: int) -> np.ndarray:
+def dirichlet(half_angle: np.ndarray, n: int) -> np.ndarray:
     """``sum_k exp(2j x (k - (n - 1)/2))`` = sin(n x) / sin(x)."""
     small = np.abs(np.sin(half_angle)) < 1e-12
     safe = np.where(small, 0.5, half_angle)
@@ -199,5 +199,5 @@ def _model(segments: Segments, lines: list[Line], phases: Phases) -> tuple[np.nd
     orders = np.array([line.order for line in lines])
     angle = np.outer(phases.angle, orders) + 2.0 * np.pi * ((np.outer(segments.t_s, offsets)) % 1.0)
     own = np.subtract.outer(segments.lines_hz, segments.lines_hz) * np.pi * segments.dt_s
-    weight = np.linalg.pinv(_dirichlet(own, segments.n_steps), rcond=RANK, hermitian=True)
+    weight = np.linalg.pinv(dirichlet(own, segments.n_steps), rcond=RANK, hermitian=True)
     return np.exp(1j * angle), np.einsum("lj,mjk->mlk", weight, _kernel(segments, lines, phases))

@@ -1,0 +1,182 @@
+"""One recording: which experiments are in it, and what was heard of each. A pure function of a task; workers run it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import nan
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.detect import find_tones
+from ..identify.hear import Heard, HearingError, fundamental, hear
+from ..identify.pair import Experiment
+from ..plant.protocol import SourceDirection
+from ..plant.recordings.recording import RecordingError
+from ..plant.recordings.waveforms import Waveforms, defects, open_waveforms
+from . import identify_manifest as m
+
+F1_LIE = 2e-4
+"""Relative difference of the file's own f1 and the data's that is worth a word."""
+
+CLOCK_CYCLES = 0.01
+"""Cycles by which a tone may slip over its window before the clocks are worth a word."""
+
+NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
+NEAR_NOMINAL = 0.04
+"""A fundamental farther than this from every nominal one means a wrong sampling rate, most likely."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A recording and how it is to be read.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    direction : "load" or "generator"
+        Of its current.
+    channels : mapping
+        Role to channel name, where the user overrules the guess.
+    experiment : manifest.Experiment or None
+        What it holds; None: to be found.
+    f1_hz : float or None
+        The fundamental (Hz), None: estimated.
+    sample_rate_hz : float or None
+        Overrules the file.
+    base : (V, A) or None
+        Rated phase peaks.
+    amplitude_base : float
+        What the manifest's amplitudes are relative to (V or A); NaN.
+    """
+
+    path: Path
+    direction: SourceDirection
+    channels: Mapping[str, str] = field(default_factory=dict)
+    experiment: m.Experiment | None = None
+    f1_hz: float | None = None
+    sample_rate_hz: float | None = None
+    base: tuple[float, float] | None = None
+    amplitude_base: float = nan
+
+
+class Listened(NamedTuple):
+    """What a recording gave: experiments, what is to be said, and why it gave nothing (or None)."""
+
+    name: str
+    experiments: tuple[Experiment, ...]
+    notes: tuple[str, ...]
+    refusal: str | None
+
+
+def listen(task: Task) -> Listened:
+    """Read one recording and hear its experiments; a file that cannot be used says why and costs no other."""
+    name = task.path.name
+    try:
+        waveforms = open_waveforms(
+            task.path,
+            task.direction,
+            channels=task.channels,
+            base=task.base,
+            sample_rate_hz=task.sample_rate_hz,
+        )
+        experiments, notes = _experiments(task, waveforms)
+        return Listened(name, experiments, (*waveforms.notes(), *notes), None)
+    except (RecordingError, HearingError) as error:
+        return Listened(name, (), (), _without_folder(str(error), task.path))
+    except MemoryError:
+        return Listened(name, (), (), "does not fit into memory: cut it into several files")
+
+
+def _without_folder(text: str, path: Path) -> str:
+    return text.replace(str(path), path.name)
+
+
+def _experiments(task: Task, waveforms: Waveforms) -> tuple[tuple[Experiment, ...], tuple[str, ...]]:
+    stretches = _as_told(task.experiment, waveforms) if task.experiment else _found(waveforms)
+    notes: list[str] = []
+    experiments: list[Experiment] = []
+    for start, stop, shots in stretches:
+        where = _where(waveforms, start, stop)
+        defect = defects(waveforms, start, stop)
+        if defect.clipped:
+            raise RecordingError(
+                f"{task.path.name}: {', '.join(defect.clipped)} clipped{where}: what a recorder cut off cannot be restored; "
+                "record again with a larger range"
+            )
+        if defect.missing:
+            notes.append(f"{defect.missing} samples are missing{where}")
+        heard = hear(waveforms, start, stop, tuple(shot.injected_hz for shot in shots), task.f1_hz)
+        for shot, each in zip(shots, heard, strict=True):
+            amplitude_pu = shot.amplitude / task.amplitude_base
+            served = shot.f_hz if task.experiment else None
+            if served is not None and abs(each.f_hz - shot.injected_hz) * each.window_s > CLOCK_CYCLES:
+                notes.append(_clocks(each.f_hz, shot.injected_hz) + where)
+            experiments.append(Experiment(f"{task.path.name}{where}", each, served, amplitude_pu))
+        notes += [f"{note}{where}" for note in heard[0].notes]
+    notes += _lies(waveforms, [e.heard for e in experiments])
+    found = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
+    return tuple(experiments), (f"tones at {found} Hz", *notes)
+
+
+def _clocks(found_hz: float, told_hz: float) -> str:
+    ppm = (found_hz / told_hz - 1.0) * 1e6 if told_hz else nan
+    return f"the tone is at {found_hz:.8g} Hz, not at {told_hz:.8g} Hz: the clocks differ by {ppm:.3g} ppm"
+
+
+def _where(waveforms: Waveforms, start: int, stop: int) -> str:
+    if start == 0 and stop == waveforms.n_samples:
+        return ""
+    dt_s = waveforms.dt_s
+    return f" ({waveforms.t0_s + start * dt_s:.4g} to {waveforms.t0_s + stop * dt_s:.4g} s)"
+
+
+def _as_told(told: m.Experiment, waveforms: Waveforms) -> list[tuple[int, int, tuple[m.Shot, ...]]]:
+    """The stretch a manifest speaks of, or the whole record where it is shorter: recorders start by triggers."""
+    begin_s = told.start_s + told.settle_s
+    dt_s, n = waveforms.dt_s, waveforms.n_samples
+    start = max(0, round((begin_s - waveforms.t0_s) / dt_s))
+    stop = n if told.duration_s is None else min(n, start + round(told.duration_s / dt_s))
+    whole = told.duration_s is None or stop - start >= 0.9 * told.duration_s / dt_s
+    return [(start, stop, told.shots) if whole and start < stop else (0, n, told.shots)]
+
+
+def _found(waveforms: Waveforms) -> list[tuple[int, int, tuple[m.Shot, ...]]]:
+    found = find_tones(waveforms)
+    if not found:
+        raise HearingError(
+            f"{waveforms.recording.path.name}: no tone stands above the noise long enough: record longer or louder, or tell "
+            "what was injected with --manifest"
+        )
+    return [(each.start, each.stop, (m.Shot(f_hz=1.0, injected_hz=each.f_hz, amplitude=0.0),)) for each in found]
+
+
+def _lies(waveforms: Waveforms, heard: list[Heard]) -> list[str]:
+    """Where the file's own word and its data differ."""
+    f1_hz = float(np.median([each.f1_hz for each in heard])) if heard else fundamental(waveforms, 0, waveforms.n_samples)
+    claimed = waveforms.recording.header_f1_hz
+    notes = []
+    if claimed and abs(f1_hz / claimed - 1.0) > F1_LIE:
+        notes.append(f"the file says {claimed:g} Hz, its data {f1_hz:.6g} Hz: the data is believed")
+    if min(abs(f1_hz / nominal - 1.0) for nominal in NOMINAL_HZ) > NEAR_NOMINAL:
+        nominal = claimed or min(NOMINAL_HZ[:2], key=lambda x: abs(f1_hz / x - 1.0))
+        rate = nominal / f1_hz / waveforms.dt_s
+        notes.append(
+            f"a fundamental of {f1_hz:.6g} Hz is unusual; were it {nominal:g} Hz, the sampling rate would be {rate:.6g} Hz "
+            "(--sample-rate)"
+        )
+    return notes
+
+
+def power_w(heard: Heard) -> float:
+    """Active power out of the device at the PCC (W), of the fundamental."""
+    return float(-1.5 * np.real(heard.v1 * np.conj(heard.i1)))
+
+
+def line_voltage_v(heard: Heard) -> float:
+    """|v_pcc| of the fundamental, line-to-line RMS (V)."""
+    return float(abs(heard.v1) * 1.5**0.5)
+
