@@ -64,7 +64,11 @@ def find_tones(waveforms: Waveforms) -> list[Found]:
     resolution = 1.0 / (frame * waveforms.dt_s)
     always = _always(seen, f1_hz, resolution)
     strongest = [
-        max((line for line in each if _order(line, f1_hz, resolution) not in always), key=lambda s: s.height, default=None)
+        max(
+            (line for line in each if _order(line, f1_hz, resolution) not in always),
+            key=lambda s: s.height,
+            default=None,
+        )
         for each in seen
     ]
     return _runs(strongest, frame, f1_hz, resolution, n)
@@ -113,7 +117,9 @@ def _runs(strongest: list[_Seen | None], frame: int, f1_hz: float, resolution: f
     found: list[Found] = []
     run: list[tuple[int, float]] = []
     for k, line in enumerate([*strongest, None]):
-        if line is not None and (not run or abs(line.distance_hz - np.median([d for _, d in run])) < SAME_BIN * resolution):
+        if line is not None and (
+            not run or abs(line.distance_hz - np.median([d for _, d in run])) < SAME_BIN * resolution
+        ):
             run.append((k, line.distance_hz))
             continue
         if len(run) >= FEWEST_FRAMES:

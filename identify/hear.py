@@ -11,7 +11,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .joint import Line, Phases, Segments, Solution, Waveforms, constant, dirichlet, follow, from_segment, project, solve
+from .joint import (
+    Line,
+    Phases,
+    Segments,
+    Solution,
+    Waveforms,
+    constant,
+    dirichlet,
+    follow,
+    from_segment,
+    project,
+    solve,
+)
 
 SEGMENTS = 48
 """Segments aimed at: their scatter is the uncertainty."""
@@ -126,7 +138,9 @@ def interpolated(spectrum: np.ndarray, peak: int) -> float:
     return float(signed + sign * (2.0 * ratio - 1.0) / (1.0 + ratio))
 
 
-def hear(waveforms: Waveforms, start: int, stop: int, tones_hz: tuple[float, ...], f1_hz: float | None = None) -> list[Heard]:
+def hear(
+    waveforms: Waveforms, start: int, stop: int, tones_hz: tuple[float, ...], f1_hz: float | None = None
+) -> list[Heard]:
     """Phasors of every tone and its mirror in samples ``start`` to ``stop``, with their scatter.
 
     Parameters
@@ -172,7 +186,9 @@ def _segment_steps(n_samples: int, dt_s: float) -> int:
 def _hear(segments: Segments, lines: list[Line], n_tones: int, f1_hz: float, unknown_f1: bool) -> list[Heard]:
     notes: list[str] = []
     if segments.dropped:
-        notes.append(f"{segments.dropped} of {len(segments.t_s) + segments.dropped} segments hold missing samples: left out")
+        notes.append(
+            f"{segments.dropped} of {len(segments.t_s) + segments.dropped} segments hold missing samples: left out"
+        )
     phases, f1_hz, drift_hz = _fundamental_phases(segments, lines, f1_hz, unknown_f1)
     if n_tones == 1:
         found = _tone_as_it_is(segments, lines, phases)
@@ -194,7 +210,12 @@ def _hear(segments: Segments, lines: list[Line], n_tones: int, f1_hz: float, unk
 
 
 def _heard(
-    solution: Solution, lines: list[Line], tone: int, n_tones: int, frame: tuple[float, float, float], notes: tuple[str, ...]
+    solution: Solution,
+    lines: list[Line],
+    tone: int,
+    n_tones: int,
+    frame: tuple[float, float, float],
+    notes: tuple[str, ...],
 ) -> Heard:
     f1_hz, drift_hz, window_s = frame
     pair = [1 + 2 * tone, 2 + 2 * tone]

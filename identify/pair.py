@@ -73,7 +73,9 @@ def points_of(experiments: Sequence[Experiment], f1_hz: float) -> list[Point]:
         record stands d above this one.
     """
     groups = _groups(experiments)
-    rows = sorted(((_row_hz(group, f1_hz, upper), group) for group in groups for upper in _sides(group)), key=lambda r: r[0])
+    rows = sorted(
+        ((_row_hz(group, f1_hz, upper), group) for group in groups for upper in _sides(group)), key=lambda r: r[0]
+    )
     rows = [(f, group) for f, group in rows if f > 0.0]
     first = [_solve(group, f, f1_hz, None) for f, group in rows]
     slopes = _slopes(first)
@@ -141,7 +143,7 @@ def _apart(group: list[Experiment]) -> bool:
 # Solving
 
 
-def _solve(group: list[Experiment], f_hz: float, f1_hz: float, slope: np.ndarray | None) -> Point:
+def _solve(group: list[Experiment], f_hz: float, f1_hz: float, slope: tuple[np.ndarray, np.ndarray] | None) -> Point:
     sides = [_turned(e, f_hz, f1_hz) for e in group]
     directions = {np.sign(_distance(e)) for e in group}
     blank = _blank(group, f_hz)
@@ -149,10 +151,11 @@ def _solve(group: list[Experiment], f_hz: float, f1_hz: float, slope: np.ndarray
         return replace(blank, status="failed", reason=_missing(group))
     v = np.array([_components(side.v, side.phi1) for side in sides])
     i = np.array([_components(side.i, side.phi1) for side in sides])
-    shift = np.zeros_like(i)
+    doubt = np.zeros((len(group), 2, 2))
     if slope is not None:
-        shift = np.array([slope @ x * off for x, off in zip(v, (_off(e, f_hz, f1_hz) for e in group), strict=True)])
-        i = i - shift
+        beyond = [_off(e, f_hz, f1_hz) for e in group]
+        i = i - np.array([off * slope[0] @ x for off, x in zip(beyond, v, strict=True)])
+        doubt = np.array([np.diag((off * slope[1] @ np.abs(x)) ** 2) for off, x in zip(beyond, v, strict=True)])
     scale = np.linalg.norm(v, axis=1)
     if not np.all(scale > 0.0):
         return replace(blank, status="ill_conditioned", reason="an experiment shows no voltage at its lines")
@@ -160,7 +163,7 @@ def _solve(group: list[Experiment], f_hz: float, f1_hz: float, slope: np.ndarray
     weights = np.array([1.0 / _loudness(side) for side in sides])
     inverse = np.linalg.pinv((v * weights[:, None]).T)
     y = (i * weights[:, None]).T @ inverse
-    noise = np.array([_noise(side, y) + np.outer(0.5 * s, 0.5 * s.conj()) for side, s in zip(sides, shift, strict=True)])
+    noise = np.array([_noise(side, y) for side in sides]) + doubt
     covariance = _covariance(noise, weights[:, None] * inverse)
     status, reason = _judged(group, y, covariance, cond)
     return replace(blank, y=y, covariance=covariance, status=status, reason=reason, cond_v=cond)
@@ -224,9 +227,13 @@ def _judged(group: list[Experiment], y: np.ndarray, covariance: np.ndarray, cond
         return "ill_conditioned", f"cond(V) is {cond:.2g}: the experiments are nearly one"
     spread = float(np.sqrt(np.trace(covariance)) / np.linalg.norm(y))
     if not spread <= NOISY:
-        return "noisy", f"the standard deviation of Y is {spread:.2g} of it; {NOISY:g} is the limit: record longer, or louder"
+        return (
+            "noisy",
+            f"the standard deviation of Y is {spread:.2g} of it; {NOISY:g} is the limit: record longer, or louder",
+        )
     worst = max(group, key=lambda e: e.heard.residual)
-    if worst.heard.residual > max(UNSETTLED, 5.0 * worst.heard.expected):
+    wanders = any(e.heard.drift_hz > 0.0 for e in group)  # then Y itself moves, and the scatter tells of it
+    if not wanders and worst.heard.residual > max(UNSETTLED, 5.0 * worst.heard.expected):
         return "not_settled", (
             f"{worst.name}: the halves of the window differ by {worst.heard.residual:.2g}, which noise does not explain: "
             "record longer after the tone begins"
@@ -282,10 +289,15 @@ def _elsewhere(order: float, group: list[Experiment], groups: list[list[Experime
 # Mirrors meant for another fundamental
 
 
-def _slopes(points: list[Point]) -> dict[float, np.ndarray]:
-    """dY/df (2, 2) (S/Hz) at the frequencies of solved points, from their neighbours."""
+def _slopes(points: list[Point]) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+    """dY/df (2, 2) (S/Hz) at the frequencies of solved points, and how far its one-sided values stray from it."""
     solved = [point for point in points if np.all(np.isfinite(point.y))]
     if len(solved) < 3:
         return {}
     f_hz, y = np.array([p.f_hz for p in solved]), np.array([p.y for p in solved])
-    return dict(zip(f_hz.tolist(), np.gradient(y, f_hz, axis=0), strict=True))
+    between = np.diff(y, axis=0) / np.diff(f_hz)[:, None, None]
+    left, right = np.concatenate([between[:1], between]), np.concatenate([between, between[-1:]])
+    stray = np.abs(right - left)
+    stray[[0, -1]] = np.abs(between[[0, -1]])
+    slopes = np.gradient(y, f_hz, axis=0)
+    return {f: (slope, off) for f, slope, off in zip(f_hz.tolist(), slopes, stray, strict=True)}

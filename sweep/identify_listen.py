@@ -156,7 +156,9 @@ def _found(waveforms: Waveforms) -> list[tuple[int, int, tuple[m.Shot, ...]]]:
 
 def _lies(waveforms: Waveforms, heard: list[Heard]) -> list[str]:
     """Where the file's own word and its data differ."""
-    f1_hz = float(np.median([each.f1_hz for each in heard])) if heard else fundamental(waveforms, 0, waveforms.n_samples)
+    f1_hz = (
+        float(np.median([each.f1_hz for each in heard])) if heard else fundamental(waveforms, 0, waveforms.n_samples)
+    )
     claimed = waveforms.recording.header_f1_hz
     notes = []
     if claimed and abs(f1_hz / claimed - 1.0) > F1_LIE:
@@ -179,4 +181,3 @@ def power_w(heard: Heard) -> float:
 def line_voltage_v(heard: Heard) -> float:
     """|v_pcc| of the fundamental, line-to-line RMS (V)."""
     return float(abs(heard.v1) * 1.5**0.5)
-

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import oracle
 from numba import njit
+from scipy.special import jv
 
 from seqsweep.plant.dpmsg_parameters import TABLE_I
 from seqsweep.plant.protocol import Record
+
+from . import oracle
 
 POWER_W, VOLTAGE_V = 0.65e6, 690.0
 STEPS = 4
@@ -109,20 +111,34 @@ def _at_rest(f1_hz):
     return p, x, wind
 
 
-def turbine(tones, *, f1_hz=49.97, settle_s=8.0, length_s=10.0, amplitude=0.01, background=(), angle=0.3, dt_s=1e-4):
+def turbine(
+    tones,
+    *,
+    f1_hz=49.97,
+    settle_s=8.0,
+    length_s=10.0,
+    amplitude=0.01,
+    background=(),
+    drift=(0.0, 1.0),
+    angle=0.3,
+    dt_s=1e-4,
+):
     """A stretch of the turbine at 0.65 MW under ``tones`` (Hz, signed, in phase quantities) of ``amplitude`` (pu).
 
-    ``background`` are further lines (Hz, relative amplitude); ``angle`` is that of the fundamental at the beginning.
+    ``background`` are further lines (Hz, relative amplitude), ``drift`` the peak (Hz) and the period (s) of a sinusoidal
+    wandering of the fundamental, ``angle`` its angle at the beginning (rad).
     """
     p, x, wind = _at_rest(f1_hz)
     lines = [(f, amplitude * np.exp(1j * k)) for k, f in enumerate(tones)] + list(background)
+    index = drift[0] * drift[1]  # a wandering frequency is a phase-modulated fundamental: lines J_n(index)
+    lines += [(f1_hz + n / drift[1], jv(n, index)) for n in range(-12, 13) if n and index]
     f_hz = np.array([f - f1_hz for f, _ in lines])
     a = np.array([VOLTAGE_V * size for _, size in lines], dtype=complex)
     x = x.copy()
     before = round(settle_s / dt_s)
-    integrate(x, wind, p, complex(VOLTAGE_V), f_hz, a, -settle_s, dt_s, STEPS, before)
+    integrate(x, wind, p, complex(VOLTAGE_V * jv(0, index)), f_hz, a, -settle_s, dt_s, STEPS, before)
     n = round(length_s / dt_s)
-    v, i = integrate(x, wind, p, complex(VOLTAGE_V), f_hz, a, 0.0, dt_s, STEPS, n)
+    v, i = integrate(x, wind, p, complex(VOLTAGE_V * jv(0, index)), f_hz, a, 0.0, dt_s, STEPS, n)
     turn = np.sqrt(2.0 / 3.0) * np.exp(1j * (2.0 * np.pi * f1_hz * dt_s * np.arange(n) + angle))
     return Stretch(v * turn, i * turn, dt_s)
 

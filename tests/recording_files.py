@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-
 import numpy as np
-from by_hand import phases
+
+from .by_hand import phases
 
 NAMES = ("Va", "Vb", "Vc", "Ia", "Ib", "Ic")
 
@@ -14,7 +14,9 @@ def six(stretch):
     return np.column_stack([phases(stretch.v), phases(stretch.i)])
 
 
-def comtrade(path, samples, *, form="BINARY", rate_hz=10_000.0, names=NAMES, units=None, f1_hz=50, revision=1999, **more):
+def comtrade(
+    path, samples, *, form="BINARY", rate_hz=10_000.0, names=NAMES, units=None, f1_hz=50, revision=1999, **more
+):
     """Write ``path``.cfg and .dat of samples (n, k); the cfg's path.
 
     ``more``: ``phases`` (per channel), ``ratio`` ((primary, secondary, "P" or "S") of all), ``cut`` (last bytes left out),
@@ -59,7 +61,14 @@ def _dat(raw, form, stamps_us, status):
     number, stamps = np.arange(1, n + 1), np.asarray(stamps_us).astype("u4")
     if form == "ASCII":
         rows = [
-            ",".join([str(number[j]), str(stamps[j]), *(str(99999 if np.isnan(x) else round(x)) for x in raw[j]), *["0"] * status])
+            ",".join(
+                [
+                    str(number[j]),
+                    str(stamps[j]),
+                    *(str(99999 if np.isnan(x) else round(x)) for x in raw[j]),
+                    *["0"] * status,
+                ]
+            )
             for j in range(n)
         ]
         return ("\r\n".join(rows) + "\r\n").encode()
@@ -75,7 +84,19 @@ def _dat(raw, form, stamps_us, status):
     return rows.tobytes()
 
 
-def text(path, samples, *, dt_s=1e-4, t0_s=0.0, heads=None, delimiter=",", decimal=".", time="Time [s]", digits=17, preface=()):
+def text(
+    path,
+    samples,
+    *,
+    dt_s=1e-4,
+    t0_s=0.0,
+    heads=None,
+    delimiter=",",
+    decimal=".",
+    time="Time [s]",
+    digits=17,
+    preface=(),
+):
     """Write a table of text with a column of time; its path."""
     heads = heads or [f"{name} [{'V' if name[0] == 'V' else 'A'}]" for name in NAMES]
     t = t0_s + dt_s * np.arange(len(samples))
@@ -93,7 +114,9 @@ def pscad(folder, case, samples, *, order=None, run="", dt_s=1e-4, names=NAMES, 
     x = np.column_stack([np.full((len(samples), extra), 7.0), samples])
     heads = [*(f"X{c}" for c in range(extra)), *names]
     units = ["", *[""] * extra][:extra] + ["kV" if name[0] == "V" else "kA" for name in names]
-    lines = [f'PGB({c + 1}) Output Desc="{heads[c]}" Group="Main" Max=2.0 Min=-2.0 Units="{units[c]}"' for c in range(k)]
+    lines = [
+        f'PGB({c + 1}) Output Desc="{heads[c]}" Group="Main" Max=2.0 Min=-2.0 Units="{units[c]}"' for c in range(k)
+    ]
     if order is not None:
         lines = [lines[c] for c in order]
     (folder / f"{case}.inf").write_text("\n".join(lines) + "\n")
@@ -103,5 +126,3 @@ def pscad(folder, case, samples, *, order=None, run="", dt_s=1e-4, names=NAMES, 
         rows = ["".join(f"  {value: .13e}" for value in row) for row in part]
         (folder / f"{case}{run}_{number + 1:02d}.out").write_text("\n" + "\n".join(rows) + "\n")
     return folder / f"{case}.inf"
-
-

@@ -40,7 +40,9 @@ def recording_of(
     units : mapping of str to str
         Units of the arrays that have one.
     """
-    rows = {name: array for name, array in arrays.items() if len(array.shape) in (1, 2) and max(array.shape) >= SMALLEST}
+    rows = {
+        name: array for name, array in arrays.items() if len(array.shape) in (1, 2) and max(array.shape) >= SMALLEST
+    }
     if not rows:
         found = ", ".join(f"{name} {tuple(array.shape)}" for name, array in arrays.items())
         raise RecordingError(f"{path}: no array of numbers that could be a waveform; found {found[:200] or 'nothing'}")
@@ -108,5 +110,7 @@ def _base(
     steps = [1.0 / named[name] for name in _RATES if named.get(name, 0.0) > 0.0]
     steps += [named[name] for name in _STEPS if named.get(name, 0.0) > 0.0]
     if not steps:
-        raise RecordingError(f"{path}: no array of time ('time' or 't') and no sampling rate ('fs'): give --sample-rate HZ")
+        raise RecordingError(
+            f"{path}: no array of time ('time' or 't') and no sampling rate ('fs'): give --sample-rate HZ"
+        )
     return TimeBase(0.0, steps[0])

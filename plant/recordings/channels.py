@@ -34,7 +34,18 @@ _ALPHABETS = {
     "line_to_line": ("ab bc ca", "l12 l23 l31", "12 23 31", "rs st tr", "uv vw wu"),
     "alpha_beta": ("alpha beta", "al be"),
 }
-_UNITS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "kv": 1e3, "mv": 1e-3, "a": 1.0, "amp": 1.0, "amps": 1.0, "ka": 1e3, "ma": 1e-3}
+_UNITS = {
+    "v": 1.0,
+    "volt": 1.0,
+    "volts": 1.0,
+    "kv": 1e3,
+    "mv": 1e-3,
+    "a": 1.0,
+    "amp": 1.0,
+    "amps": 1.0,
+    "ka": 1e3,
+    "ma": 1e-3,
+}
 _AT_TERMINAL = re.compile(r"pcc|poc|poi|term|meas|wt(?![a-z])", re.IGNORECASE)
 
 
@@ -85,7 +96,9 @@ def parse_channels(text: str) -> dict[str, str]:
     return given
 
 
-def assign(recording: Recording, given: Mapping[str, str] | None = None, base: tuple[float, float] | None = None) -> Assignment:
+def assign(
+    recording: Recording, given: Mapping[str, str] | None = None, base: tuple[float, float] | None = None
+) -> Assignment:
     """Find voltage and current of a recording.
 
     Parameters
@@ -194,8 +207,10 @@ def _groups(channels: Sequence[Channel], kind: str) -> list[tuple[str, list[int]
                 found.append((form, columns))
                 taken.update(columns)
     if not found:
-        for form, alphabet in (("two phases", "a b"), ("two phases", "l1 l2"), ("two line_to_line", "ab bc")):
-            found += [(form, columns) for columns in _families(channels, mine, alphabet.split())]
+        two = (("two phases", "a b"), ("two phases", "l1 l2"), ("two phases", "an bn"))
+        lines = tuple(("two line_to_line", pair) for pair in ("ab bc", "l12 l23", "12 23"))
+        for form, alphabet in (*lines, *two) if kind == "voltage" else two:
+            found = found or [(form, columns) for columns in _families(channels, mine, alphabet.split())]
     return found
 
 
@@ -267,11 +282,15 @@ def _balanced(recording: Recording) -> list[tuple[int, ...]]:
 # Scale and physics
 
 
-def _scaled(recording: Recording, vector: SpaceVector, base: tuple[float, float] | None, notes: list[str]) -> SpaceVector:
+def _scaled(
+    recording: Recording, vector: SpaceVector, base: tuple[float, float] | None, notes: list[str]
+) -> SpaceVector:
     """Weights in V or A."""
     units = {recording.channels[k].unit.strip().lower() for k in vector.columns}
     if len(units) > 1:
-        raise RecordingError(f"{recording.path}: channels of the {vector.kind} have different units: {', '.join(sorted(units))}")
+        raise RecordingError(
+            f"{recording.path}: channels of the {vector.kind} have different units: {', '.join(sorted(units))}"
+        )
     unit = units.pop()
     if unit in ("pu", "p.u."):
         if base is None:
@@ -303,8 +322,11 @@ def _checked(recording: Recording, vector: SpaceVector, notes: list[str]) -> Spa
                 f"{vector.kind} is missing; in a three-wire system two phases are enough: name those with --channels"
             )
     if vector.form == "phases" and np.std(np.sum(x, axis=1)) > ZERO_SEQUENCE * np.max(alive) * 3.0:
-        notes.append(f"the {vector.kind} has a zero sequence of {np.std(np.sum(x, axis=1)) / 3 / np.max(alive):.1%}: left out")
-    offset = abs(vector.of(np.mean(x, axis=0, keepdims=True))[0]) / np.sqrt(np.mean(np.abs(vector.of(x)) ** 2))
+        notes.append(
+            f"the {vector.kind} has a zero sequence of {np.std(np.sum(x, axis=1)) / 3 / np.max(alive):.1%}: left out"
+        )
+    taper = np.hanning(len(x))
+    offset = abs(np.sum(vector.of(x) * taper) / np.sum(taper)) / np.sqrt(np.mean(np.abs(vector.of(x)) ** 2))
     if offset > 0.01:
         notes.append(f"the {vector.kind} has a DC offset of {offset:.1%}: left out")
     if not _rotates_forward(vector.of(x)):

@@ -101,7 +101,9 @@ def _cff(path: Path) -> tuple[str, _Dat, tuple[str, ...]]:
     sections = list(_SECTION.finditer(head))
     kinds = [match[1].upper() for match in sections]
     if b"CFG" not in kinds or b"DAT" not in kinds:
-        raise RecordingError(f"{path}: no sections CFG and DAT within the first {CFG_LIMIT_BYTES >> 20} MB: no CFF file")
+        raise RecordingError(
+            f"{path}: no sections CFG and DAT within the first {CFG_LIMIT_BYTES >> 20} MB: no CFF file"
+        )
     dat = sections[kinds.index(b"DAT")]
     cfg = kinds.index(b"CFG")
     end = sections[cfg + 1].start() if cfg + 1 < len(sections) else len(head)

@@ -36,7 +36,9 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
     _refuse_large_chunks(path, numbers)
     short = {name: _short_name(name, numbers) for name in numbers}
     units = {short[name]: _unit(each) for name, each in numbers.items()}
-    scalars = {short[name]: float(each[()].ravel()[0]) for name, each in numbers.items() if each.size == 1 and each.shape}
+    scalars = {
+        short[name]: float(each[()].ravel()[0]) for name, each in numbers.items() if each.size == 1 and each.shape
+    }
     scalars |= {short[name]: float(each[()]) for name, each in numbers.items() if each.shape == ()}
     scalars |= {str(key): float(value) for key, value in file.attrs.items() if _is_scalar(value)}
     notes = (f"left out: {', '.join(skipped[:6])}",) if skipped else ()

@@ -30,7 +30,11 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
         raise RecordingError(f"{path}: not an MDF4 file, or a damaged one ({type(error).__name__}: {error})") from None
     times = np.asarray(signals[0].timestamps, dtype=float) if signals else np.empty(0)
     base = TimeBase(0.0, 1.0 / sample_rate_hz) if sample_rate_hz else time_base(path, [times])
-    used = [s for s in signals if s.samples.dtype.kind in "fiu" and s.samples.ndim == 1 and s.name.lower() not in ("t", "time")]
+    used = [
+        s
+        for s in signals
+        if s.samples.dtype.kind in "fiu" and s.samples.ndim == 1 and s.name.lower() not in ("t", "time")
+    ]
 
     def samples(columns: Sequence[int], start: int, stop: int) -> np.ndarray:
         return np.array([np.asarray(used[k].samples[start:stop], dtype=float) for k in columns]).T

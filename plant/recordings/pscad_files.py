@@ -32,7 +32,9 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
     first = tables[files[0]]
     n_rows = min(len(table) for table in tables.values())
     base = base_from(path, Channel("time", "s"), [first[:n_rows, 0]], sample_rate_hz)
-    found = {number: channel for number, channel in channels.items() if _column(number) < tables[_file(number)].shape[1]}
+    found = {
+        number: channel for number, channel in channels.items() if _column(number) < tables[_file(number)].shape[1]
+    }
     numbers = sorted(found)
     parts = {number: tables[_file(number)][:n_rows, _column(number)] for number in numbers}
     stored = in_memory([np.array([parts[number] for number in numbers]).T])
@@ -130,7 +132,9 @@ def _out(path: Path) -> np.ndarray:
             file.readline()
         table = read_numbers(path, _Squeezed(file), numbers[first], " ")
     if len(table.unfit) > 1 or not table.parts:
-        raise RecordingError(f"{path}: {unfit_note(table.unfit, 'the file')}; {numbers[first]} numbers per row are needed")
+        raise RecordingError(
+            f"{path}: {unfit_note(table.unfit, 'the file')}; {numbers[first]} numbers per row are needed"
+        )
     return np.concatenate(table.parts)
 
 

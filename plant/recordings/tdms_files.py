@@ -1,4 +1,4 @@
-"""TDMS (LabVIEW), with the extra ``formats``: channels of the group with most samples, sliced when asked."""
+"""TDMS (LabVIEW), with the extra ``formats``: the channels with most samples, read into memory."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .number_table import refuse_too_large
 from .recording import Channel, Recording, RecordingError
 
 
@@ -16,9 +17,12 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
         from nptdms import TdmsFile
     except ImportError:
         raise RecordingError(f"{path}: TDMS needs the extra: pip install 'seqsweep[formats]'") from None
+    refuse_too_large(path, path.stat().st_size)
     try:
-        file = TdmsFile.open(path)
-        found = [each for group in file.groups() for each in group.channels() if len(each) > 1 and each.dtype.kind in "fiu"]
+        file = TdmsFile.read(path)
+        found = [
+            each for group in file.groups() for each in group.channels() if len(each) > 1 and each.dtype.kind in "fiu"
+        ]
     except Exception as error:
         raise RecordingError(f"{path}: not a TDMS file, or a damaged one ({type(error).__name__}: {error})") from None
     n = max((len(each) for each in found), default=0)

@@ -32,7 +32,9 @@ class Waveforms:
 
     def __init__(self, recording: Recording, assignment: Assignment, direction: SourceDirection):
         if direction not in ("load", "generator"):
-            raise RecordingError(f"direction is {direction!r}; it is 'load' (into the device) or 'generator' (out of it)")
+            raise RecordingError(
+                f"direction is {direction!r}; it is 'load' (into the device) or 'generator' (out of it)"
+            )
         self.recording, self.assignment, self.direction = recording, assignment, direction
         self.n_samples, self.t0_s, self.dt_s = recording.n_samples, recording.t0_s, recording.dt_s
         self._columns = (*assignment.voltage.columns, *assignment.current.columns)
