@@ -18,6 +18,7 @@ FRAME_S = (0.2, 1.0)
 """Shortest and longest frame (s)."""
 
 FEWEST_FRAMES = 3
+SOME_FRAMES = 16
 
 ALWAYS = 0.9
 """A harmonic in more than this part of the frames was there before any tone."""
@@ -57,8 +58,9 @@ def find_tones(waveforms: Waveforms) -> list[Found]:
     """
     n = waveforms.n_samples
     frame = int(min(max(n * waveforms.dt_s / 8.0, FRAME_S[0]), FRAME_S[1]) / waveforms.dt_s)
-    f1_hz = fundamental(waveforms, 0, n)
     starts = range(0, n - frame + 1, frame)
+    some = starts[:: max(1, len(starts) // SOME_FRAMES)]
+    f1_hz = float(np.median([fundamental(waveforms, start, start + frame) for start in some]))
     basis, window = _fundamental(f1_hz, frame, waveforms.dt_s), np.hanning(frame)
     seen = [_lines(waveforms, start, basis, window, f1_hz) for start in starts]
     resolution = 1.0 / (frame * waveforms.dt_s)

@@ -28,6 +28,9 @@ from .joint import (
 SEGMENTS = 48
 """Segments aimed at: their scatter is the uncertainty."""
 
+FEWEST_SEGMENTS = 16
+"""No more are left out as a transient than leave these."""
+
 SEGMENT_S = (0.02, 0.25)
 """Shortest and longest segment (s)."""
 
@@ -195,12 +198,14 @@ def _hear(segments: Segments, lines: list[Line], n_tones: int, f1_hz: float, unk
         if found != lines and unknown_f1:
             phases, f1_hz, drift_hz = _fundamental_phases(segments, found, f1_hz, unknown_f1)
         lines = found
+    before = len(segments.t_s)
     solution = solve(segments, lines, phases)
-    first = _first_steady(solution, 1 + 2 * n_tones)
-    if first:
-        notes.append(f"the first {first * segments.n_steps * segments.dt_s:.3g} s are a transient: left out")
+    while first := _first_steady(solution, 1 + 2 * n_tones):  # the transient was in the solution it is judged by
         segments, phases = from_segment(segments, first), Phases(phases.angle[first:], phases.speed[first:])
         solution = solve(segments, lines, phases)
+    if len(segments.t_s) < before:
+        left_out_s = (before - len(segments.t_s)) * segments.n_steps * segments.dt_s
+        notes.append(f"the first {left_out_s:.3g} s are a transient: left out")
     if drift_hz > 0.0:
         notes.append(f"the fundamental wanders by +-{drift_hz:.3g} Hz about {f1_hz:.6g} Hz: followed")
     window_s = len(segments.t_s) * segments.n_steps * segments.dt_s
@@ -398,6 +403,8 @@ def neighbourhood(size: np.ndarray, width: int = 64) -> np.ndarray:
 
 def _first_steady(solution: Solution, n_own: int) -> int:
     """First segment from which on no segment of the first half strays more than those of the second half."""
+    if len(solution.scores) < FEWEST_SEGMENTS:
+        return 0
     scale = np.linalg.norm(solution.a[1:n_own], axis=0) + 1e-300
     strays = np.max(np.linalg.norm(solution.scores[:, 1:n_own], axis=1) / scale, axis=1)
     half = len(strays) // 2

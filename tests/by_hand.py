@@ -105,7 +105,8 @@ class Stretch:
 
 
 @cache
-def _at_rest(f1_hz):
+def at_rest(f1_hz):
+    """Parameters, equilibrium and wind (m/s) on a grid of this frequency (Hz)."""
     p = TABLE_I._replace(w1_rad_s=2.0 * np.pi * f1_hz)
     x, wind = oracle.equilibrium(POWER_W, VOLTAGE_V, p)
     return p, x, wind
@@ -128,7 +129,7 @@ def turbine(
     ``background`` are further lines (Hz, relative amplitude), ``drift`` the peak (Hz) and the period (s) of a sinusoidal
     wandering of the fundamental, ``angle`` its angle at the beginning (rad).
     """
-    p, x, wind = _at_rest(f1_hz)
+    p, x, wind = at_rest(f1_hz)
     lines = [(f, amplitude * np.exp(1j * k)) for k, f in enumerate(tones)] + list(background)
     index = drift[0] * drift[1]  # a wandering frequency is a phase-modulated fundamental: lines J_n(index)
     lines += [(f1_hz + n / drift[1], jv(n, index)) for n in range(-12, 13) if n and index]
