@@ -11,7 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .hear import ABOVE_NOISE, fundamental, interpolated, neighbourhood, taken_off
+from .hear import (
+    ABOVE_NOISE,
+    SPECTRUM_SAMPLES,
+    fundamental,
+    interpolated,
+    line_basis,
+    neighbourhood,
+    taken_off,
+)
 from .joint import Waveforms
 
 FRAME_S = (0.2, 1.0)
@@ -57,7 +65,7 @@ def find_tones(waveforms: Waveforms) -> list[Found]:
         If there is no fundamental.
     """
     n = waveforms.n_samples
-    frame = int(min(max(n * waveforms.dt_s / 8.0, FRAME_S[0]), FRAME_S[1]) / waveforms.dt_s)
+    frame = int(min(max(n * waveforms.dt_s / 6.0, FRAME_S[0]), FRAME_S[1]) / waveforms.dt_s)
     starts = range(0, n - frame + 1, frame)
     some = starts[:: max(1, len(starts) // SOME_FRAMES)]
     f1_hz = float(np.median([fundamental(waveforms, start, start + frame) for start in some]))
@@ -73,7 +81,22 @@ def find_tones(waveforms: Waveforms) -> list[Found]:
         )
         for each in seen
     ]
-    return _runs(strongest, frame, f1_hz, resolution, n)
+    return [_refined(waveforms, each, f1_hz, resolution) for each in _runs(strongest, frame, f1_hz, resolution, n)]
+
+
+def _refined(waveforms: Waveforms, found: Found, f1_hz: float, resolution: float) -> Found:
+    """The tone at the peak of a spectrum of its whole stretch: a frame blurs it with a harmonic next to it."""
+    n = min(found.stop - found.start, SPECTRUM_SAMPLES)
+    v = waveforms.record(found.stop - n, found.stop).v
+    rest = taken_off(np.where(np.isfinite(v), v, 0.0), *line_basis((f1_hz, -f1_hz, 0.0), waveforms.dt_s, n))[0]
+    size = np.abs(np.fft.fft(rest * np.hanning(n)))
+    f_hz = np.fft.fftfreq(n, waveforms.dt_s)
+    near = np.abs(f_hz - found.f_hz) < 2.0 * resolution
+    for line in (f1_hz, -f1_hz, 0.0):
+        near &= np.abs(f_hz - line) > 0.6 / (n * waveforms.dt_s)
+    if not near.any():
+        return found
+    return found._replace(f_hz=interpolated(size, int(np.argmax(np.where(near, size, 0.0)))) / (n * waveforms.dt_s))
 
 
 def _fundamental(f1_hz: float, n: int, dt_s: float) -> np.ndarray:

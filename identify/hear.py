@@ -7,6 +7,7 @@ are part of the model, so they do not leak into what is asked.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -370,9 +371,7 @@ def _peaks(channels: tuple[np.ndarray, ...], dt_s: float, known_hz: list[float],
     """Frequencies of lines above the noise, strongest first, but for those known."""
     found: dict[float, float] = {}
     window = np.hanning(n) / (0.5 * n)
-    basis = np.exp(2j * np.pi * np.outer(known_hz, dt_s * (np.arange(n) - 0.5 * (n - 1))))
-    apart = np.pi * dt_s * np.subtract.outer(known_hz, known_hz)
-    inverse_gram = np.linalg.pinv(dirichlet(apart, n), rcond=1e-12, hermitian=True)
+    basis, inverse_gram = line_basis(known_hz, dt_s, n)
     for x in channels:
         clean, lines = taken_off(np.where(np.isfinite(x), x, 0.0), basis, inverse_gram)
         size = np.abs(np.fft.fft(clean * window))
@@ -382,6 +381,13 @@ def _peaks(channels: tuple[np.ndarray, ...], dt_s: float, known_hz: list[float],
         for k in np.flatnonzero(top):
             found[interpolated(size, int(k)) / (n * dt_s)] = float(size[k] / floor[k])
     return sorted(found, key=lambda f: -found[f])[:MOST_LINES]
+
+
+def line_basis(lines_hz: Sequence[float], dt_s: float, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Exponentials (k, n) at ``lines_hz``, phase zero in the middle, and the inverse of their Gram matrix (k, k)."""
+    basis = np.exp(2j * np.pi * np.outer(lines_hz, dt_s * (np.arange(n) - 0.5 * (n - 1))))
+    gram = dirichlet(np.pi * dt_s * np.subtract.outer(lines_hz, lines_hz), n)
+    return basis, np.linalg.pinv(gram, rcond=1e-12, hermitian=True)
 
 
 def taken_off(x: np.ndarray, basis: np.ndarray, inverse_gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
