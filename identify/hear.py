@@ -46,6 +46,9 @@ LEAST_LINE = 1e-5
 
 MOST_LINES = 40
 
+APART = 0.75
+"""Offset and unbalance are told from a tone this many cycles away over the whole stretch."""
+
 DRIFT = 3.0
 """The fundamental drifts where its angle strays this much more than its noise does."""
 
@@ -342,9 +345,10 @@ def _background(waveforms: Waveforms, start: int, stop: int, own: list[Line], f1
     n = min(stop - start, SPECTRUM_SAMPLES)
     record = waveforms.record(stop - n, stop)
     resolution = 1.0 / (n * waveforms.dt_s)
-    fixed = [Line(0, 0.0), Line(-1, 0.0)]
+    apart_hz = APART / ((stop - start) * waveforms.dt_s)
     known = [line.at(f1_hz) for line in own]
-    extra = [line for line in fixed if min(abs(line.at(f1_hz) - f) for f in known) > 2.0 * resolution]
+    fixed = (Line(0, 0.0), Line(-1, 0.0))
+    extra = [line for line in fixed if min(abs(line.at(f1_hz) - f) for f in known) > apart_hz]
     known += [line.at(f1_hz) for line in extra]
     for f_hz in _peaks((record.v, record.i), waveforms.dt_s, known, n):
         line = _named(f_hz, f1_hz, own, 1.5 * resolution)

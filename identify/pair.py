@@ -11,6 +11,7 @@ import numpy as np
 
 from .admittance import components
 from .hear import Heard
+from .local import Local
 from .quality import COND_LIMIT
 from .uncertainty import real_covariance, student_factor
 
@@ -84,6 +85,30 @@ def points_of(experiments: Sequence[Experiment], f1_hz: float) -> list[Point]:
         for (f, group), point in zip(rows, first, strict=True)
     ]
     return [_spoiled(point, group, groups) for point, (_, group) in zip(points, rows, strict=True)]
+
+
+def broadband_points(records: Sequence[Local], f1_hz: float) -> list[Point]:
+    """Rows of broadband records, ascending; where several speak of one frequency the surest is taken."""
+    best: dict[float, Point] = {}
+    for local in records:
+        for k, distance in enumerate(local.distance_hz):
+            f_hz = f1_hz + float(distance)
+            status, reason = _loud_enough(local.y[k], local.covariance[k])
+            point = Point(
+                f_hz,
+                local.y[k],
+                local.covariance[k],
+                status,
+                reason,
+                nan,
+                local.window_s * abs(f_hz),
+                local.window_s,
+                nan,
+                nan,
+            )
+            if f_hz > 0.0 and (f_hz not in best or np.trace(point.covariance) < np.trace(best[f_hz].covariance)):
+                best[f_hz] = point
+    return [best[f] for f in sorted(best)]
 
 
 # Which experiments belong together
@@ -239,6 +264,16 @@ def _judged(group: list[Experiment], y: np.ndarray, covariance: np.ndarray, cond
             "record longer after the tone begins"
         )
     return "ok", ""
+
+
+def _loud_enough(y: np.ndarray, covariance: np.ndarray) -> tuple[str, str]:
+    spread = float(np.sqrt(np.trace(covariance)) / np.linalg.norm(y))
+    if spread <= NOISY:
+        return "ok", ""
+    return (
+        "noisy",
+        f"the standard deviation of Y is {spread:.2g} of it, {NOISY:g} is the limit: record longer, or louder",
+    )
 
 
 def _missing(group: list[Experiment]) -> str:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.detect import find_tones
-from ..identify.hear import Heard, HearingError, fundamental, hear
-from ..identify.pair import Experiment
+from ..identify.hear import HearingError, fundamental, hear
+from ..identify.local import Local, local_polynomials
+from ..identify.pair import NOISY, Experiment
 from ..plant.protocol import SourceDirection
 from ..plant.recordings.recording import RecordingError
 from ..plant.recordings.waveforms import Waveforms, defects, open_waveforms
@@ -20,6 +21,12 @@ from . import identify_manifest as m
 
 F1_LIE = 2e-4
 """Relative difference of the file's own f1 and the data's that is worth a word."""
+
+BROADBAND_HZ = np.geomspace(2.0, 1000.0, 100)
+"""Frequencies at which a broadband record is asked, as far as it excites them; f1 as nominal."""
+
+FEWEST_BROADBAND = 8
+"""Fewer frequencies that are not noisy make no broadband record."""
 
 CLOCK_CYCLES = 0.01
 """Cycles by which a tone may slip over its window before the clocks are worth a word."""
@@ -63,13 +70,54 @@ class Task:
     amplitude_base: float = nan
 
 
+class Fundamental(NamedTuple):
+    """Frequency (Hz) and phasors (V, A; load direction) of the fundamental of a record."""
+
+    f1_hz: float
+    v1: complex
+    i1: complex
+
+    @property
+    def power_w(self) -> float:
+        """Active power out of the device at the PCC (W)."""
+        return float(-1.5 * np.real(self.v1 * np.conj(self.i1)))
+
+    @property
+    def apparent_va(self) -> float:
+        """Apparent power (VA)."""
+        return float(1.5 * abs(self.v1 * self.i1))
+
+    @property
+    def line_voltage_v(self) -> float:
+        """|v_pcc|, line-to-line RMS (V)."""
+        return float(abs(self.v1) * 1.5**0.5)
+
+
 class Listened(NamedTuple):
-    """What a recording gave: experiments, what is to be said, and why it gave nothing (or None)."""
+    """What a recording gave.
+
+    Attributes
+    ----------
+    name : str
+        The file.
+    experiments : tuple of Experiment
+        Its tones.
+    broadband : Local or None
+        The 2x2 of a record without tones.
+    fundamentals : tuple of Fundamental
+        One per experiment, or one of the broadband record.
+    notes : tuple of str
+        What a person should know.
+    refusal : str or None
+        Why it gave nothing.
+    """
 
     name: str
-    experiments: tuple[Experiment, ...]
-    notes: tuple[str, ...]
-    refusal: str | None
+    experiments: tuple[Experiment, ...] = ()
+    broadband: Local | None = None
+    fundamentals: tuple[Fundamental, ...] = ()
+    notes: tuple[str, ...] = ()
+    refusal: str | None = None
 
 
 def listen(task: Task) -> Listened:
@@ -83,20 +131,25 @@ def listen(task: Task) -> Listened:
             base=task.base,
             sample_rate_hz=task.sample_rate_hz,
         )
-        experiments, notes = _experiments(task, waveforms)
-        return Listened(name, experiments, (*waveforms.notes(), *notes), None)
+        stretches = _as_told(task.experiment, waveforms) if task.experiment else _found(waveforms)
+        result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)
+        return result._replace(notes=(*waveforms.notes(), *result.notes))
     except (RecordingError, HearingError) as error:
-        return Listened(name, (), (), _without_folder(str(error), task.path))
+        return Listened(name, refusal=_without_folder(str(error), task.path))
     except MemoryError:
-        return Listened(name, (), (), "does not fit into memory: cut it into several files")
+        return Listened(name, refusal="does not fit into memory: cut it into several files")
 
 
 def _without_folder(text: str, path: Path) -> str:
     return text.replace(str(path), path.name)
 
 
-def _experiments(task: Task, waveforms: Waveforms) -> tuple[tuple[Experiment, ...], tuple[str, ...]]:
-    stretches = _as_told(task.experiment, waveforms) if task.experiment else _found(waveforms)
+Stretches = list[tuple[int, int, tuple[m.Shot, ...]]]
+"""First and last sample, and the tones that are on between them."""
+
+
+def _experiments(task: Task, waveforms: Waveforms, stretches: Stretches) -> Listened:
+    """Every tone of every stretch."""
     notes: list[str] = []
     experiments: list[Experiment] = []
     for start, stop, shots in stretches:
@@ -117,9 +170,33 @@ def _experiments(task: Task, waveforms: Waveforms) -> tuple[tuple[Experiment, ..
                 notes.append(_clocks(each.f_hz, shot.injected_hz) + where)
             experiments.append(Experiment(f"{task.path.name}{where}", each, served, amplitude_pu))
         notes += [f"{note}{where}" for note in heard[0].notes]
-    notes += _lies(waveforms, [e.heard for e in experiments])
+    fundamentals = tuple(Fundamental(e.heard.f1_hz, e.heard.v1, e.heard.i1) for e in experiments)
+    notes += _lies(waveforms, fundamentals)
     found = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
-    return tuple(experiments), (f"tones at {found} Hz", *notes)
+    return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {found} Hz", *notes))
+
+
+def _broadband(waveforms: Waveforms) -> Listened:
+    """The 2x2 of a record in which no tone stands out, where it excites the device well enough."""
+    name = waveforms.recording.path.name
+    nothing = (
+        f"{name}: no tone stands above the noise long enough, and it is no broadband record either: record longer or "
+        "louder, or tell what was injected with --manifest"
+    )
+    nominal = round(fundamental(waveforms, 0, waveforms.n_samples) / 10.0) * 10.0
+    local = local_polynomials(waveforms, BROADBAND_HZ - nominal)
+    if not len(local.y):
+        raise HearingError(nothing)
+    spread = np.sqrt(np.trace(local.covariance, axis1=1, axis2=2)) / np.linalg.norm(local.y, axis=(1, 2))
+    if not np.count_nonzero(spread < NOISY) >= FEWEST_BROADBAND:
+        raise HearingError(nothing)
+    seen = (Fundamental(local.f1_hz, local.v1, local.i1),)
+    notes = (
+        "no tone stands out: taken as a broadband record and analysed by local polynomials "
+        f"({np.count_nonzero(spread < NOISY)} frequencies)",
+        *_lies(waveforms, seen),
+    )
+    return Listened(name, (), local, seen, notes)
 
 
 def _clocks(found_hz: float, told_hz: float) -> str:
@@ -134,7 +211,7 @@ def _where(waveforms: Waveforms, start: int, stop: int) -> str:
     return f" ({waveforms.t0_s + start * dt_s:.4g} to {waveforms.t0_s + stop * dt_s:.4g} s)"
 
 
-def _as_told(told: m.Experiment, waveforms: Waveforms) -> list[tuple[int, int, tuple[m.Shot, ...]]]:
+def _as_told(told: m.Experiment, waveforms: Waveforms) -> Stretches:
     """The stretch a manifest speaks of, or the whole record where it is shorter: recorders start by triggers."""
     begin_s = told.start_s + told.settle_s
     dt_s, n = waveforms.dt_s, waveforms.n_samples
@@ -144,13 +221,9 @@ def _as_told(told: m.Experiment, waveforms: Waveforms) -> list[tuple[int, int, t
     return [(start, stop, told.shots) if whole and start < stop else (0, n, told.shots)]
 
 
-def _found(waveforms: Waveforms) -> list[tuple[int, int, tuple[m.Shot, ...]]]:
+def _found(waveforms: Waveforms) -> Stretches:
+    """Stretches that nobody told of."""
     found = find_tones(waveforms)
-    if not found:
-        raise HearingError(
-            f"{waveforms.recording.path.name}: no tone stands above the noise long enough: record longer or louder, or tell "
-            "what was injected with --manifest"
-        )
     return [(each.start, each.stop, (m.Shot(f_hz=1.0, injected_hz=each.f_hz, amplitude=0.0),)) for each in found]
 
 
@@ -171,13 +244,3 @@ def _lies(waveforms: Waveforms, heard: list[Heard]) -> list[str]:
             "(--sample-rate)"
         )
     return notes
-
-
-def power_w(heard: Heard) -> float:
-    """Active power out of the device at the PCC (W), of the fundamental."""
-    return float(-1.5 * np.real(heard.v1 * np.conj(heard.i1)))
-
-
-def line_voltage_v(heard: Heard) -> float:
-    """|v_pcc| of the fundamental, line-to-line RMS (V)."""
-    return float(abs(heard.v1) * 1.5**0.5)

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.pair import Experiment, Point, points_of
+from ..identify.pair import Experiment, Point, broadband_points, points_of
 from ..identify.response import FrequencyResponse
 from ..identify.table import write_table
 from ..plant.protocol import Rating, SourceDirection
 from ..plant.recordings.channels import parse_channels
 from ..plant.recordings.read import recordings_in
 from ..plant.recordings.recording import RecordingError
-from .identify_listen import Listened, Task, line_voltage_v, listen, power_w
+from .identify_listen import Fundamental, Listened, Task, listen
 from .identify_manifest import Manifest, match, read_manifest
 
 POWER_MEANING = "active power out of the device at the PCC, of the fundamental, as recorded"
@@ -141,15 +141,17 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     for result in results:
         _tell(result, say)
     experiments = [experiment for result in results for experiment in result.experiments]
-    if not experiments:
+    seen = [each for result in results for each in result.fundamentals]
+    if not seen:
         refusals = [f"{result.name}: {result.refusal}" for result in results if result.refusal]
         raise IdentifyError("no recording could be used:\n" + "\n".join(refusals[:20]))
-    f1_hz = float(np.median([e.heard.f1_hz for e in experiments]))
-    points = _completed(points_of(experiments, f1_hz), manifest, experiments, f1_hz)
-    rating = request.rating or _rating(manifest) or _recorded_rating(experiments, say)
+    f1_hz = float(np.median([each.f1_hz for each in seen]))
+    points = _completed(points_of(experiments, f1_hz), manifest, experiments)
+    points = _joined(points, broadband_points([r.broadband for r in results if r.broadband], f1_hz))
+    rating = request.rating or _rating(manifest) or _recorded_rating(seen, say)
     op_id = request.op_id or (manifest.op_id if manifest else "recorded")
     response = _response(points, f1_hz, op_id)
-    write_table(output, [response], _metadata(request, manifest, tasks, response, rating, experiments))
+    write_table(output, [response], _metadata(request, manifest, tasks, response, rating, seen))
     statuses = dict(zip(*np.unique(response.status, return_counts=True), strict=True))  # type: ignore[arg-type]
     left_out = sum(result.refusal is not None for result in results)
     return Outcome({str(status): int(n) for status, n in statuses.items()}, left_out)
@@ -195,10 +197,10 @@ def _rating(manifest: Manifest | None) -> Rating | None:
     return manifest and Rating(manifest.bases.rated_voltage_v, manifest.bases.rated_power_va)
 
 
-def _recorded_rating(experiments: Sequence[Experiment], say: Say) -> Rating:
+def _recorded_rating(seen: Sequence[Fundamental], say: Say) -> Rating:
     """One per unit is what was recorded, where nobody says more."""
-    voltage_v = float(np.median([line_voltage_v(e.heard) for e in experiments]))
-    power_va = float(np.median([abs(1.5 * e.heard.v1 * e.heard.i1) for e in experiments]))
+    voltage_v = float(np.median([each.line_voltage_v for each in seen]))
+    power_va = float(np.median([each.apparent_va for each in seen]))
     say(
         f"no rating given: per unit is what was recorded, {voltage_v:.6g} V and {power_va:.6g} VA "
         "(--rated-voltage-v, --rated-power-va)"
@@ -226,9 +228,7 @@ def _tell(result: Listened, say: Say) -> None:
 # Rows
 
 
-def _completed(
-    points: list[Point], manifest: Manifest | None, experiments: Sequence[Experiment], f1_hz: float
-) -> list[Point]:
+def _completed(points: list[Point], manifest: Manifest | None, experiments: Sequence[Experiment]) -> list[Point]:
     """A manifest's points that have no experiment at all are rows too."""
     if manifest is None:
         return points
@@ -236,6 +236,13 @@ def _completed(
     asked = {round(shot.f_hz, 6) for e in manifest.experiments for shot in e.shots}
     missing = [_lost(f) for f in sorted(asked - served)]
     return sorted([*points, *missing], key=lambda point: point.f_hz)
+
+
+def _joined(points: list[Point], more: list[Point]) -> list[Point]:
+    """Rows of tones, and those of broadband records beside them."""
+    taken = np.array([point.f_hz for point in points])
+    fresh = [point for point in more if not len(taken) or np.min(np.abs(taken - point.f_hz)) > 1e-6]
+    return sorted([*points, *fresh], key=lambda point: point.f_hz)
 
 
 def _lost(f_hz: float) -> Point:
@@ -268,9 +275,9 @@ def _metadata(
     tasks: Iterable[Task],
     response: FrequencyResponse,
     rating: Rating,
-    experiments: Sequence[Experiment],
+    seen: Sequence[Fundamental],
 ) -> dict[str, Any]:
-    voltage_v = float(np.median([line_voltage_v(e.heard) for e in experiments]))
+    voltage_v = float(np.median([each.line_voltage_v for each in seen]))
     files = [{"name": task.path.name, "bytes": task.path.stat().st_size} for task in tasks]
     direction = request.direction or (manifest.direction if manifest else None)
     return {
@@ -280,7 +287,7 @@ def _metadata(
         "operating_points": [
             {
                 "op_id": response.meta["op_id"],
-                "active_power_mw": float(np.median([power_w(e.heard) for e in experiments])) / 1e6,
+                "active_power_mw": float(np.median([each.power_w for each in seen])) / 1e6,
                 "terminal_voltage_pu": voltage_v / rating.voltage_v,
             }
         ],

@@ -48,7 +48,9 @@ def test_a_dat_longer_than_its_cfg_is_read_as_far_as_announced(tmp_path, form):
     assert "3000 samples where 2000 were announced" in notes(path)
 
 
-@pytest.mark.parametrize(("form", "words"), [("ASCII", "rows of 7 numbers were announced"), ("BINARY", "6 analog channels")])
+@pytest.mark.parametrize(
+    ("form", "words"), [("ASCII", "rows of 7 numbers were announced"), ("BINARY", "6 analog channels")]
+)
 def test_a_wrong_number_of_channels_is_found_and_the_right_one_named(tmp_path, form, words):
     path = files.comtrade(tmp_path / "a", SAMPLES, form=form)
     lines = path.read_text().replace("6,6A", "5,5A").splitlines()
@@ -85,7 +87,9 @@ def test_a_dead_phase_is_named_and_the_way_out_works(tmp_path):
     dead[:, 1] = 0.0
     path = files.comtrade(tmp_path / "a", dead)
     refused(path, "Vb is dead .* two phases are enough")
-    waveforms = open_waveforms(path, "load", channels={"va": "Va", "vb": "Vc"})  # rotates the other way round: said, and mended
+    waveforms = open_waveforms(
+        path, "load", channels={"va": "Va", "vb": "Vc"}
+    )  # rotates the other way round: said, and mended
     assert np.max(np.abs(np.abs(waveforms.record(0, N).v) - 563.0)) < 6.0
 
 
@@ -224,7 +228,11 @@ def test_a_parquet_of_another_schema_is_refused_by_its_columns(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("none.cfg", "no such file"), ("a.xyz", "no reader for '.xyz'; known are .cff"), ("a.cfg", "its .dat file is missing")],
+    [
+        ("none.cfg", "no such file"),
+        ("a.xyz", "no reader for '.xyz'; known are .cff"),
+        ("a.cfg", "its .dat file is missing"),
+    ],
 )
 def test_files_that_are_not_there_or_of_no_known_format_are_named(tmp_path, name, words):
     if not name.startswith("none"):
