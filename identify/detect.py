@@ -1,8 +1,8 @@
 """Experiments in a long record that nobody described: where a tone is on, and which.
 
-The record is cut into frames; in each the fundamental (its drift within the frame included), its mirror and the offset are
-taken off, and what stands highest above the noise in the voltage is a tone, unless it is a harmonic that is always there.
-Frames that agree make an experiment.
+The record is cut into frames; in each the fundamental (its drift within the frame included), its mirror and the offset
+are taken off, and what stands highest above the noise in the voltage is a tone, unless it is a harmonic that is always
+there. Frames that agree make an experiment.
 """
 
 from __future__ import annotations

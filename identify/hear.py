@@ -1,8 +1,8 @@
 """One experiment of a recording: fundamental, tones and mirrors out of one stretch of waveforms.
 
-Nothing about the frequencies is taken on trust: f1 is estimated, followed where it drifts, and a tone whose clock differs
-from the recorder's is found where it is. Lines that were there already (harmonics of both rotations, unbalance, an offset)
-are part of the model, so they do not leak into what is asked.
+Nothing about the frequencies is taken on trust: f1 is estimated, followed where it drifts, and a tone whose clock
+differs from the recorder's is found where it is. Lines that were there already (harmonics of both rotations, unbalance,
+an offset) are part of the model, so they do not leak into what is asked.
 """
 
 from __future__ import annotations
@@ -176,8 +176,8 @@ def hear(
         return _hear(segments, lines, len(tones_hz), first_f1, f1_hz is None)
     except np.linalg.LinAlgError:
         raise HearingError(
-            f"{(stop - start) * waveforms.dt_s:.3g} s are too short to tell {', '.join(f'{f:g}' for f in tones_hz[:4])} Hz, "
-            "the mirror and the fundamental apart: record longer"
+            f"{(stop - start) * waveforms.dt_s:.3g} s are too short to tell {', '.join(f'{f:g}' for f in tones_hz[:4])}"
+            " Hz, the mirror and the fundamental apart: record longer"
         ) from None
     except HearingError:
         raise

@@ -1,9 +1,9 @@
 """Joint least squares of many lines over a long record, in one pass and bounded memory.
 
-A record is cut into short segments; each is projected onto exponentials near its lines, and what is left of it are a few
-numbers per segment. Everything after that (solving for all lines at once, refining frequencies, following a drifting
-fundamental, the scatter of the segments) works on those numbers, exactly: a line of any frequency seen through an
-exponential of another is a Dirichlet kernel.
+A record is cut into short segments; each is projected onto exponentials near its lines, and what is left of it are a
+few numbers per segment. Everything after that (solving for all lines at once, refining frequencies, following a
+drifting fundamental, the scatter of the segments) works on those numbers, exactly: a line of any frequency seen through
+an exponential of another is a Dirichlet kernel.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """2x2 from one broadband or transient record: the local polynomial method.
 
 Seen from the rotating frame, spectra of v and i around a frequency are tied by the admittance there and by one smooth
-transient: within a few dozen bins both are polynomials. Least squares over those bins gives the 2x2 of one record without
-any steady state, and its residual the uncertainty. (Pintelon and Schoukens, System Identification, 2nd ed., chapter 7.)
+transient: within a few dozen bins both are polynomials. Least squares over those bins gives the 2x2 of one record
+without any steady state, and its residual the uncertainty (Pintelon and Schoukens, System Identification, 2nd ed.,
+chapter 7).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From experiments to points: two independent experiments that belong to one frequency and its mirror, and their 2x2."""
+"""From experiments to points: two independent experiments of one frequency and its mirror, and their 2x2."""
 
 from __future__ import annotations
 
@@ -260,8 +260,8 @@ def _judged(group: list[Experiment], y: np.ndarray, covariance: np.ndarray, cond
     wanders = any(e.heard.drift_hz > 0.0 for e in group)  # then Y itself moves, and the scatter tells of it
     if not wanders and worst.heard.residual > max(UNSETTLED, 5.0 * worst.heard.expected):
         return "not_settled", (
-            f"{worst.name}: the halves of the window differ by {worst.heard.residual:.2g}, which noise does not explain: "
-            "record longer after the tone begins"
+            f"{worst.name}: the halves of the window differ by {worst.heard.residual:.2g}, which noise does not "
+            "explain: record longer after the tone begins"
         )
     return "ok", ""
 

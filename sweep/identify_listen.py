@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
@@ -157,8 +157,8 @@ def _experiments(task: Task, waveforms: Waveforms, stretches: Stretches) -> List
         defect = defects(waveforms, start, stop)
         if defect.clipped:
             raise RecordingError(
-                f"{task.path.name}: {', '.join(defect.clipped)} clipped{where}: what a recorder cut off cannot be restored; "
-                "record again with a larger range"
+                f"{task.path.name}: {', '.join(defect.clipped)} clipped{where}: what a recorder cut off cannot be "
+                "restored; record again with a larger range"
             )
         if defect.missing:
             notes.append(f"{defect.missing} samples are missing{where}")
@@ -227,11 +227,9 @@ def _found(waveforms: Waveforms) -> Stretches:
     return [(each.start, each.stop, (m.Shot(f_hz=1.0, injected_hz=each.f_hz, amplitude=0.0),)) for each in found]
 
 
-def _lies(waveforms: Waveforms, heard: list[Heard]) -> list[str]:
+def _lies(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
     """Where the file's own word and its data differ."""
-    f1_hz = (
-        float(np.median([each.f1_hz for each in heard])) if heard else fundamental(waveforms, 0, waveforms.n_samples)
-    )
+    f1_hz = float(np.median([each.f1_hz for each in seen]))
     claimed = waveforms.recording.header_f1_hz
     notes = []
     if claimed and abs(f1_hz / claimed - 1.0) > F1_LIE:
@@ -240,7 +238,7 @@ def _lies(waveforms: Waveforms, heard: list[Heard]) -> list[str]:
         nominal = claimed or min(NOMINAL_HZ[:2], key=lambda x: abs(f1_hz / x - 1.0))
         rate = nominal / f1_hz / waveforms.dt_s
         notes.append(
-            f"a fundamental of {f1_hz:.6g} Hz is unusual; were it {nominal:g} Hz, the sampling rate would be {rate:.6g} Hz "
-            "(--sample-rate)"
+            f"a fundamental of {f1_hz:.6g} Hz is unusual; were it {nominal:g} Hz, the sampling rate would be "
+            f"{rate:.6g} Hz (--sample-rate)"
         )
     return notes

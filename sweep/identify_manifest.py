@@ -102,8 +102,8 @@ def match(manifest: Manifest, files: Sequence[Path]) -> tuple[list[tuple[Path, E
     if not matched:
         if len(files) != len(manifest.experiments):
             raise ManifestError(
-                f"{len(files)} recordings for {len(manifest.experiments)} experiments, and no names in common: name the "
-                f"recordings like the files they play ({manifest.experiments[0].file}, ...), or add "
+                f"{len(files)} recordings for {len(manifest.experiments)} experiments, and no names in common: name "
+                f"the recordings like the files they play ({manifest.experiments[0].file}, ...), or add "
                 '"recording": "NAME" to each experiment of the manifest'
             )
         return list(zip(files, manifest.experiments, strict=True)), ["recordings are matched with experiments by order"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
@@ -152,9 +153,8 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     op_id = request.op_id or (manifest.op_id if manifest else "recorded")
     response = _response(points, f1_hz, op_id)
     write_table(output, [response], _metadata(request, manifest, tasks, response, rating, seen))
-    statuses = dict(zip(*np.unique(response.status, return_counts=True), strict=True))  # type: ignore[arg-type]
     left_out = sum(result.refusal is not None for result in results)
-    return Outcome({str(status): int(n) for status, n in statuses.items()}, left_out)
+    return Outcome(dict(Counter(point.status for point in points)), left_out)
 
 
 # What to read
@@ -194,7 +194,7 @@ def _existing(path: Path) -> list[Path]:
 
 
 def _rating(manifest: Manifest | None) -> Rating | None:
-    return manifest and Rating(manifest.bases.rated_voltage_v, manifest.bases.rated_power_va)
+    return None if manifest is None else Rating(manifest.bases.rated_voltage_v, manifest.bases.rated_power_va)
 
 
 def _recorded_rating(seen: Sequence[Fundamental], say: Say) -> Rating:

@@ -1,8 +1,8 @@
-"""The reference turbine integrated by a classical Runge-Kutta of our own: records that owe nothing to the plant's kernel.
+"""The reference turbine integrated by a classical Runge-Kutta: records that owe nothing to the plant's kernel.
 
 The equations are those of `oracle.rhs`, written out in scalars and compiled; `test_hear` holds them against it. The PCC
-voltage is given (ideal source), in the frame that rotates at f1, so the shunt branch, which is linear and sees nothing else,
-is taken in closed form: it is the only stiff part.
+voltage is given (ideal source), in the frame that rotates at f1, so the shunt branch, which is linear and sees nothing
+else, is taken in closed form: it is the only stiff part.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ def turbine(
 ):
     """A stretch of the turbine at 0.65 MW under ``tones`` (Hz, signed, in phase quantities) of ``amplitude`` (pu).
 
-    ``background`` are further lines (Hz, relative amplitude), ``drift`` the peak (Hz) and the period (s) of a sinusoidal
-    wandering of the fundamental, ``angle`` its angle at the beginning (rad).
+    ``background`` are further lines (Hz, relative amplitude), ``drift`` the peak (Hz) and the period (s) of a
+    sinusoidal wandering of the fundamental, ``angle`` its angle at the beginning (rad).
     """
     p, x, wind = at_rest(f1_hz)
     lines = [(f, amplitude * np.exp(1j * k)) for k, f in enumerate(tones)] + list(background)

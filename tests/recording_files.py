@@ -19,8 +19,8 @@ def comtrade(
 ):
     """Write ``path``.cfg and .dat of samples (n, k); the cfg's path.
 
-    ``more``: ``phases`` (per channel), ``ratio`` ((primary, secondary, "P" or "S") of all), ``cut`` (last bytes left out),
-    ``rates`` ([(Hz, last sample)]), ``encoding``, ``stamps`` (us), ``status`` channels, ``cff`` (one file instead of two).
+    ``more``: ``phases`` (per channel), ``ratio`` ((primary, secondary, "P" or "S") of all), ``cut`` (last bytes left
+    out), ``rates`` ([(Hz, last sample)]), ``encoding``, ``stamps`` (us), ``status`` channels, ``cff`` (one file).
     """
     n, k = samples.shape
     units = units or ["V" if name[0].upper() == "V" else "A" for name in names]

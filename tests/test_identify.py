@@ -217,7 +217,7 @@ def test_a_sampling_rate_that_makes_the_fundamental_absurd_is_said(tmp_path):
 def test_the_same_data_give_the_same_admittance_as_the_sweep():
     """Records of the reference turbine, from the sweep's own settled state, heard with nothing known but the tones.
 
-    The sweep stops when two windows agree to the tolerance asked (1e-9); the record begins when it has long been at rest.
+    The sweep stops when two windows agree to the tolerance asked (1e-9); the record begins when all is long at rest.
     """
     config = Config.from_dict(
         {

@@ -31,7 +31,7 @@ def states(a, b, u):
 
 
 class Sampled:
-    """The turbine's exact linearisation under voltages that are constant between samples: its response is known exactly."""
+    """The turbine's linearisation under voltages that are constant between samples: its response is known exactly."""
 
     def __init__(self):
         self.p, _, _ = by_hand.at_rest(F1)
@@ -46,7 +46,7 @@ class Sampled:
         return oracle.T_PN @ dq @ np.linalg.inv(oracle.T_PN)
 
     def record(self, length_s, seed=0, level=0.01, cut_hz=np.inf):
-        """A random binary voltage on both axes, 500 changes a second, from the first sample on; lowered beyond ``cut_hz``."""
+        """A random binary voltage on both axes, 500 changes a second, from cold; lowered beyond ``cut_hz``."""
         n = round(length_s / DT)
         signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(n // 10, 2))
         spectrum = np.fft.rfft(signs.repeat(10, axis=0) * VOLTAGE_V * level, axis=0)

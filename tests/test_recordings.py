@@ -24,7 +24,7 @@ TRUTH = Stretch(
 SAMPLES = files.six(TRUTH)
 COLUMNS = dict(zip(files.NAMES, SAMPLES.T, strict=True))
 ROUNDING = {"ASCII": 4e-5, "BINARY": 4e-5, "BINARY32": 1e-9, "FLOAT32": 1e-7}
-"""Half a step of 16 bits is 1.5e-5 of the peak, and a space vector adds up three; 32 bits and single precision likewise."""
+"""Half a step of 16 bits is 1.5e-5 of the peak, and a space vector adds up three; the others likewise."""
 
 
 def difference(path, **options):

@@ -150,8 +150,8 @@ def _as_given(recording: Recording, kind: str, columns: Mapping[str, int]) -> Sp
             return _vector(kind, form, [columns[kind[0].replace("c", "i") + suffix] for suffix in needed])
     letter = kind[0].replace("c", "i")
     raise RecordingError(
-        f"{recording.path}: channels {', '.join(columns)} make no {kind}: give {letter}a, {letter}b, {letter}c, or two of "
-        f"them, or line-to-line vab, vbc, vca, or {letter}alpha, {letter}beta"
+        f"{recording.path}: channels {', '.join(columns)} make no {kind}: give {letter}a, {letter}b, {letter}c, or two "
+        f"of them, or line-to-line vab, vbc, vca, or {letter}alpha, {letter}beta"
     )
 
 
@@ -184,7 +184,8 @@ def _guessed(recording: Recording, kind: str, notes: list[str]) -> SpaceVector:
         shown = "; ".join(", ".join(recording.channels[k].name for k in columns) for _, columns in complete[:6])
         letter = kind[0].replace("c", "i")
         raise RecordingError(
-            f"{recording.path}: several could be the {kind} ({shown}): give --channels {letter}a=...,{letter}b=...,{letter}c=..."
+            f"{recording.path}: several could be the {kind} ({shown}): "
+            f"give --channels {letter}a=...,{letter}b=...,{letter}c=..."
         )
     form, columns = chosen[0]
     if len(complete) > 1:
@@ -318,8 +319,9 @@ def _checked(recording: Recording, vector: SpaceVector, notes: list[str]) -> Spa
         if not alive[k] > DEAD * np.max(alive):
             name = recording.channels[column].name
             raise RecordingError(
-                f"{recording.path}: {name} is dead ({alive[k]:.3g} where others have {np.max(alive):.3g} RMS): a phase of the "
-                f"{vector.kind} is missing; in a three-wire system two phases are enough: name those with --channels"
+                f"{recording.path}: {name} is dead ({alive[k]:.3g} where others have {np.max(alive):.3g} RMS): a phase "
+                f"of the {vector.kind} is missing; in a three-wire system two phases are enough: name those with "
+                "--channels"
             )
     if vector.form == "phases" and np.std(np.sum(x, axis=1)) > ZERO_SEQUENCE * np.max(alive) * 3.0:
         notes.append(

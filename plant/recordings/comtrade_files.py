@@ -316,8 +316,8 @@ def _step(
         return stamped, ()
     if stamped is not None and abs(stamped / claimed - 1.0) > 1e-3:
         return claimed, (
-            f"the configuration says {1 / claimed:.6g} samples per second, the time stamps {1 / stamped:.6g}: the former "
-            "is used; --sample-rate HZ overrules it",
+            f"the configuration says {1 / claimed:.6g} samples per second, the time stamps {1 / stamped:.6g}: the "
+            "former is used; --sample-rate HZ overrules it",
         )
     return claimed, ()
 

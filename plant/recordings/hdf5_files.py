@@ -30,8 +30,8 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
     numbers = {name: each for name, each in found.items() if each.dtype.kind in "fiu"}
     if not numbers and (skipped or found):
         raise RecordingError(
-            f"{path}: no arrays of numbers, only {', '.join([*skipped, *found][:6])}: MATLAB objects (timeseries, tables) "
-            "are opaque; save arrays with a vector 'time' instead"
+            f"{path}: no arrays of numbers, only {', '.join([*skipped, *found][:6])}: MATLAB objects (timeseries, "
+            "tables) are opaque; save arrays with a vector 'time' instead"
         )
     _refuse_large_chunks(path, numbers)
     short = {name: _short_name(name, numbers) for name in numbers}

@@ -23,7 +23,7 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
         number = int(np.argmax(counts))
         if counts[number] * len(file.groups[number].channels) * 8 > TEXT_LIMIT_BYTES:
             raise RecordingError(f"{path}: {counts[number]} samples do not fit into memory; cut it into several files")
-        signals = [s for s in file.select([(None, number, k) for k in range(len(file.groups[number].channels))])]
+        signals = list(file.select([(None, number, k) for k in range(len(file.groups[number].channels))]))
     except RecordingError:
         raise
     except Exception as error:

@@ -79,8 +79,9 @@ def refuse_too_large(path: Path, n_bytes: int) -> None:
     """What can only be read as a whole must fit into memory."""
     if n_bytes > TEXT_LIMIT_BYTES:
         raise RecordingError(
-            f"{path}: {n_bytes / 2**30:.3g} GB, which must be read as a whole; the limit is {TEXT_LIMIT_BYTES / 2**30:.3g} GB: "
-            "save it as binary COMTRADE, Parquet or HDF5, or cut it into several files"
+            f"{path}: {n_bytes / 2**30:.3g} GB, which must be read as a whole; the limit is "
+            f"{TEXT_LIMIT_BYTES / 2**30:.3g} GB: save it as binary COMTRADE, Parquet or HDF5, or cut it into several "
+            "files"
         )
 
 

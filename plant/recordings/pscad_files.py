@@ -1,6 +1,7 @@
-"""PSCAD: descriptors in ``case.inf``, ten channels per ``case_01.out``, ``case_02.out``, ...; runs are ``case_r00001_01.out``.
+"""PSCAD: descriptors in ``case.inf``, ten channels in each of ``case_01.out``, ``case_02.out``, ...
 
-Descriptors need not be in order: ``PGB(n)`` is column (n - 1) % 10 + 1 of file (n - 1) // 10 + 1.
+Runs of one case are called ``case_r00001_01.out``. Descriptors need not be in order: ``PGB(n)`` is column
+(n - 1) % 10 + 1 of file (n - 1) // 10 + 1.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
 
 def runs_of(inf: Path) -> list[Path]:
     """The first .out of every run of a case; the .inf itself where there are no runs."""
-    runs = {}
+    runs: dict[str, Path] = {}
     for path in inf.parent.glob(f"{_escaped(inf.stem)}_r*_*.out"):
         found = _OUT.match(path.stem)
         if found and found["case"] == inf.stem and found["run"]:
