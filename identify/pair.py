@@ -21,6 +21,9 @@ NOISY = 0.1
 UNSETTLED = 3e-3
 """Disagreement of the halves of a window that is worth a status where noise does not explain it."""
 
+SLIP = 1e-3
+"""Cycles over a window by which a row may differ from the one that was asked for and still be called by its name."""
+
 COINCIDENT = 0.01
 """Background at the place of a tone or its mirror, relative to the tone, that spoils a point."""
 
@@ -156,7 +159,10 @@ def _sides(group: list[Experiment]) -> set[bool]:
 def _row_hz(group: list[Experiment], f1_hz: float, upper: bool) -> float:
     """Frequency of a row: the mean distance of its experiments from f1, above or below (Hz)."""
     distance = float(np.mean([abs(_distance(e)) for e in group]))
-    return f1_hz + distance if upper else f1_hz - distance
+    row = f1_hz + distance if upper else f1_hz - distance
+    served = group[0].serves_hz
+    kept = served is not None and abs(row - served) * group[0].heard.window_s < SLIP
+    return served if kept and served is not None else row
 
 
 def _apart(group: list[Experiment]) -> bool:

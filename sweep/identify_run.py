@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.pair import Experiment, Point, broadband_points, points_of
+from ..identify.pair import SLIP, Experiment, Point, broadband_points, points_of
 from ..identify.response import FrequencyResponse
 from ..identify.table import write_table
 from ..plant.protocol import Rating, SourceDirection
@@ -146,7 +146,7 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     if not seen:
         refusals = [f"{result.name}: {result.refusal}" for result in results if result.refusal]
         raise IdentifyError("no recording could be used:\n" + "\n".join(refusals[:20]))
-    f1_hz = float(np.median([each.f1_hz for each in seen]))
+    f1_hz = _f1_of_table(seen, experiments, manifest)
     points = _completed(points_of(experiments, f1_hz), manifest, experiments)
     points = _joined(points, broadband_points([r.broadband for r in results if r.broadband], f1_hz))
     rating = request.rating or _rating(manifest) or _recorded_rating(seen, say)
@@ -226,6 +226,15 @@ def _tell(result: Listened, say: Say) -> None:
 
 
 # Rows
+
+
+def _f1_of_table(seen: Sequence[Fundamental], experiments: Sequence[Experiment], manifest: Manifest | None) -> float:
+    """Median of what the records have; the manifest's where the records cannot tell the two apart."""
+    found = float(np.median([each.f1_hz for each in seen]))
+    if manifest is None or not experiments:
+        return found
+    window_s = max(e.heard.window_s for e in experiments)
+    return manifest.f1_hz if abs(found - manifest.f1_hz) * window_s < SLIP else found
 
 
 def _completed(points: list[Point], manifest: Manifest | None, experiments: Sequence[Experiment]) -> list[Point]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def time_column(channels: list[Channel]) -> int | None:
 
 
 def base_from(
-    path: Path, channel: Channel | None, blocks: list[np.ndarray] | None, sample_rate_hz: float | None
+    path: Path, channel: Channel | None, blocks: Iterable[np.ndarray] | None, sample_rate_hz: float | None
 ) -> TimeBase:
     """Time base out of a column of times, or of the rate the user names."""
     if sample_rate_hz is not None:

@@ -31,7 +31,7 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
     channels = channels_of(columns, units)
     groups = _Groups(path, file)
     at = time_column(channels)
-    time = None if at is None else [block[:, 0] for block in groups.all([columns[at]])]
+    time = None if at is None else (block[:, 0] for block in groups.all([columns[at]]))
     base = base_from(path, None if at is None else channels[at], time, sample_rate_hz)
     kept = [k for k in range(len(columns)) if k != at]
     return Recording(
