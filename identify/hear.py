@@ -389,9 +389,16 @@ def _peaks(channels: tuple[np.ndarray, ...], dt_s: float, known_hz: list[float],
 
 def line_basis(lines_hz: Sequence[float], dt_s: float, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Exponentials (k, n) at ``lines_hz``, phase zero in the middle, and the inverse of their Gram matrix (k, k)."""
-    basis = np.exp(2j * np.pi * np.outer(lines_hz, dt_s * (np.arange(n) - 0.5 * (n - 1))))
+    basis = np.array([_exponential(f, dt_s, n) for f in lines_hz])
     gram = dirichlet(np.pi * dt_s * np.subtract.outer(lines_hz, lines_hz), n)
     return basis, np.linalg.pinv(gram, rcond=1e-12, hermitian=True)
+
+
+def _exponential(f_hz: float, dt_s: float, n: int, width: int = 256) -> np.ndarray:
+    """``exp(2j pi f t)`` (n,), phase zero in the middle, as an outer product: few exponentials, many products."""
+    turn = 2j * np.pi * f_hz * dt_s
+    coarse = np.exp(turn * (width * np.arange(-(-n // width)) - 0.5 * (n - 1)))
+    return np.multiply.outer(coarse, np.exp(turn * np.arange(width))).ravel()[:n]
 
 
 def taken_off(x: np.ndarray, basis: np.ndarray, inverse_gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

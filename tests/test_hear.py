@@ -272,7 +272,7 @@ def test_regions_of_the_turbine_cover_what_they_promise():
     truth = turbine_y(points_hz)
     rng = np.random.default_rng(7)
     errors, covered = [], []
-    for _ in range(30):
+    for _ in range(20):
         found = experiments(lambda f: quantised(noisy(turbine_at(f), 1e-3, rng), 16), points_hz)
         points = points_of(found, F1)
         errors.append(relative(points, truth))

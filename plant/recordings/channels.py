@@ -71,7 +71,10 @@ class SpaceVector:
 
     def of(self, samples: np.ndarray) -> np.ndarray:
         """Space vector (n,) of samples (n, columns)."""
-        return np.asarray(np.einsum("nk,k->n", samples, self.weights))
+        x = np.empty(len(samples), dtype=complex)
+        x.real = np.einsum("nk,k->n", samples, self.weights.real)
+        x.imag = np.einsum("nk,k->n", samples, self.weights.imag)
+        return x
 
 
 @dataclass(frozen=True, slots=True)

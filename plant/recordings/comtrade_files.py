@@ -21,6 +21,9 @@ from .recording import BLOCK, Channel, Recording, RecordingError, Samples, in_me
 CFG_LIMIT_BYTES = 8 << 20
 RAW = {"BINARY": "<i2", "BINARY32": "<i4", "FLOAT32": "<f4"}
 MISSING = {"BINARY": -(2**15), "BINARY32": -(2**31), "ASCII": 99999}
+LARGEST_FLOAT = 3.4e38
+"""FLOAT32 marks a missing sample by the largest number there is."""
+
 NO_STAMP = 0xFFFFFFFF
 
 _SECTION = re.compile(rb"(?im)^--- file type: *([a-z]+)(?: +([a-z0-9]+))?(?: *: *([0-9]+))? *---[ \t]*\r?\n")
@@ -195,13 +198,15 @@ def _binary(cfg: Any, dat: _Dat) -> tuple[Samples, Iterator[np.ndarray], int, tu
     missing = MISSING.get(dat.format)
 
     def samples(columns: Sequence[int], start: int, stop: int) -> np.ndarray:
-        raw = _rows(dat, row, start, stop)["x"][:, list(columns)]
-        values = raw.astype(float)
-        if missing is not None:
-            values[raw == missing] = np.nan
-        else:
-            values[~np.isfinite(values) | (np.abs(values) > 3.4e38)] = np.nan
-        return values * scale[list(columns)] + offset[list(columns)]
+        chosen = list(columns)
+        raw = _rows(dat, row, start, stop)["x"]
+        raw = raw if chosen == list(range(cfg.analog_count)) else raw[:, chosen]
+        values = raw * scale[chosen]
+        values += offset[chosen]
+        gone = raw == missing if missing is not None else ~(np.abs(raw) <= LARGEST_FLOAT)
+        if gone.any():
+            values[gone] = np.nan
+        return values
 
     unit = cfg.time_base * cfg.timemult
     blocks = range(0, n_rows, BLOCK)
