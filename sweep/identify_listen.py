@@ -17,7 +17,8 @@ from ..identify.pair import NOISY, Experiment
 from ..plant.protocol import SourceDirection
 from ..plant.recordings.recording import RecordingError
 from ..plant.recordings.waveforms import Waveforms, defects, open_waveforms
-from . import identify_manifest as m
+from .manifest_file import Experiment as Played
+from .manifest_file import PlayedTone
 
 F1_LIE = 2e-4
 """Relative difference of the file's own f1 and the data's that is worth a word."""
@@ -27,6 +28,9 @@ BROADBAND_HZ = np.geomspace(2.0, 1000.0, 100)
 
 FEWEST_BROADBAND = 8
 """Fewer frequencies that are not noisy make no broadband record."""
+
+MOST_OF = 0.9
+"""A record that holds less of the stretch a manifest speaks of was begun by a trigger: all of it is taken."""
 
 CLOCK_CYCLES = 0.01
 """Cycles by which a tone may slip over its window before the clocks are worth a word."""
@@ -48,7 +52,7 @@ class Task:
         Of its current.
     channels : mapping
         Role to channel name, where the user overrules the guess.
-    experiment : manifest.Experiment or None
+    experiment : Played or None
         What it holds; None: to be found.
     f1_hz : float or None
         The fundamental (Hz), None: estimated.
@@ -63,7 +67,7 @@ class Task:
     path: Path
     direction: SourceDirection
     channels: Mapping[str, str] = field(default_factory=dict)
-    experiment: m.Experiment | None = None
+    experiment: Played | None = None
     f1_hz: float | None = None
     sample_rate_hz: float | None = None
     base: tuple[float, float] | None = None
@@ -144,7 +148,7 @@ def _without_folder(text: str, path: Path) -> str:
     return text.replace(str(path), path.name)
 
 
-Stretches = list[tuple[int, int, tuple[m.Shot, ...]]]
+Stretches = list[tuple[int, int, tuple[PlayedTone, ...]]]
 """First and last sample, and the tones that are on between them."""
 
 
@@ -211,20 +215,19 @@ def _where(waveforms: Waveforms, start: int, stop: int) -> str:
     return f" ({waveforms.t0_s + start * dt_s:.4g} to {waveforms.t0_s + stop * dt_s:.4g} s)"
 
 
-def _as_told(told: m.Experiment, waveforms: Waveforms) -> Stretches:
+def _as_told(told: Played, waveforms: Waveforms) -> Stretches:
     """The stretch a manifest speaks of, or the whole record where it is shorter: recorders start by triggers."""
-    begin_s = told.start_s + told.settle_s
     dt_s, n = waveforms.dt_s, waveforms.n_samples
-    start = max(0, round((begin_s - waveforms.t0_s) / dt_s))
-    stop = n if told.duration_s is None else min(n, start + round(told.duration_s / dt_s))
-    whole = told.duration_s is None or stop - start >= 0.9 * told.duration_s / dt_s
-    return [(start, stop, told.shots) if whole and start < stop else (0, n, told.shots)]
+    start = max(0, round((told.start_s + told.settle_s - waveforms.t0_s) / dt_s))
+    stop = min(n, start + round(told.duration_s / dt_s))
+    whole = stop - start >= MOST_OF * told.duration_s / dt_s
+    return [(start, stop, told.shots) if whole else (0, n, told.shots)]
 
 
 def _found(waveforms: Waveforms) -> Stretches:
     """Stretches that nobody told of."""
     found = find_tones(waveforms)
-    return [(each.start, each.stop, (m.Shot(f_hz=1.0, injected_hz=each.f_hz, amplitude=0.0),)) for each in found]
+    return [(each.start, each.stop, (PlayedTone(nan, each.f_hz, nan, nan),)) for each in found]
 
 
 def _lies(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:

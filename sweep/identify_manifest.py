@@ -1,113 +1,124 @@
-"""The manifest that ties recordings to what was injected: read, held against its form, and matched with files."""
+"""The manifest on its way back: read, held against its format, and matched with the recordings of its experiments."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
+from ..plant.protocol import Rating, SourceDirection
+from .manifest_file import Experiment, PlayedTone, manifest_violations
 
-FORMAT = "seqsweep-manifest"
-MANIFEST_LIMIT_BYTES = 64 << 20
+LIMIT_BYTES = 64 << 20
 
 
 class ManifestError(ValueError):
     """A manifest that cannot be used, with the way out."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True)
+class Told(NamedTuple):
+    """What a manifest says.
+
+    Attributes
+    ----------
+    f1_hz : float
+        Fundamental it was planned for (Hz).
+    amplitude_base : float
+        Rated phase peak of what its amplitudes are in (V or A).
+    rating : Rating
+        Bases.
+    op_id : str
+        Operating point.
+    direction : "load", "generator" or None
+        Of the recorded current, where whoever recorded added it.
+    experiments : tuple of Experiment
+        In the order of the manifest.
+    recordings : tuple of str or None
+        Name of the recording of each, where whoever recorded added it.
+    content : dict
+        All of it.
+    """
+
+    f1_hz: float
+    amplitude_base: float
+    rating: Rating
+    op_id: str
+    direction: SourceDirection | None
+    experiments: tuple[Experiment, ...]
+    recordings: tuple[str | None, ...]
+    content: dict[str, Any]
 
 
-class Shot(_Part):
-    """A tone: the point it serves and where it was injected (Hz, signed), its phase peak (V or A)."""
-
-    f_hz: PositiveFloat
-    injected_hz: float
-    amplitude: float = Field(ge=0.0)
-    phase_rad: float = 0.0
-
-
-class Experiment(_Part):
-    """What one file plays: its shots, all at once, on from ``start_s``, to be believed after ``settle_s``."""
-
-    file: str
-    shots: tuple[Shot, ...] = Field(min_length=1)
-    start_s: float = 0.0
-    settle_s: float = Field(default=0.0, ge=0.0)
-    duration_s: float | None = Field(default=None, gt=0.0)
-    recording: str | None = None
-
-
-class Bases(_Part):
-    rated_voltage_v: PositiveFloat
-    rated_power_va: PositiveFloat
-
-
-class Manifest(_Part):
-    """See the page on recordings. ``direction`` may be added: that of the recorded current."""
-
-    format: Literal["seqsweep-manifest"]
-    version: str = Field(pattern=r"^1\.\d+\.\d+$")
-    f1_hz: PositiveFloat
-    amplitude_unit: Literal["V", "A"] = "V"
-    bases: Bases
-    operating_point: dict[str, Any] = Field(default_factory=dict)
-    experiments: tuple[Experiment, ...] = Field(min_length=1)
-    direction: Literal["load", "generator"] | None = None
-
-    @property
-    def op_id(self) -> str:
-        return str(self.operating_point.get("op_id", "recorded"))
-
-
-def read_manifest(path: Path) -> Manifest:
+def read_manifest(path: Path) -> Told:
     """The manifest at ``path``.
 
     Raises
     ------
     ManifestError
-        If it is missing, no JSON, of another format or version, or lacks something; every problem is named.
+        If it is missing, no JSON, or does not conform; the problems are named.
     """
     if not path.is_file():
         raise ManifestError(f"{path}: no such file")
-    if path.stat().st_size > MANIFEST_LIMIT_BYTES:
+    if path.stat().st_size > LIMIT_BYTES:
         raise ManifestError(f"{path}: {path.stat().st_size >> 20} MB; no manifest is that long")
     try:
         content = json.loads(path.read_text("utf-8"))
-        return Manifest.model_validate(content)
-    except ValidationError as error:
-        problems = (f"{'.'.join(map(str, e['loc'])) or 'manifest'}: {e['msg']}" for e in error.errors()[:8])
-        raise ManifestError(f"{path}: " + "; ".join(problems)) from None
     except (ValueError, RecursionError) as error:
         raise ManifestError(f"{path}: not a JSON file ({error})") from None
+    if problems := manifest_violations(content):
+        raise ManifestError(f"{path}: no manifest of this format: {'; '.join(problems[:8])}")
+    rating = Rating(content["bases"]["rated_voltage_v"], content["bases"]["rated_power_va"])
+    return Told(
+        f1_hz=content["f1_hz"],
+        amplitude_base=rating.peak_voltage_v if content["amplitude_unit"] == "V" else rating.peak_current_a,
+        rating=rating,
+        op_id=content["operating_point"]["op_id"],
+        direction=content.get("direction"),
+        experiments=tuple(_experiment(each) for each in content["experiments"]),
+        recordings=tuple(each.get("recording") for each in content["experiments"]),
+        content=content,
+    )
 
 
-def match(manifest: Manifest, files: Sequence[Path]) -> tuple[list[tuple[Path, Experiment]], list[str]]:
+def _experiment(data: dict[str, Any]) -> Experiment:
+    shots = tuple(PlayedTone(**shot) for shot in data["shots"])
+    return Experiment(data["file"], shots, data["start_s"], data["settle_s"], data["duration_s"])
+
+
+def match(told: Told, files: Sequence[Path]) -> tuple[list[tuple[Path, Experiment]], list[str]]:
     """Files with their experiments, and what could not be matched, in words.
 
-    An experiment finds its recording by ``recording`` (a file name), else by the stem of its own file; where no
-    stem matches at all and the numbers are equal, by order.
+    An experiment finds its recording by the name its manifest gives, else by the stem of the file it was played from;
+    where nothing matches at all and there are as many recordings as files were played, by order.
 
     Raises
     ------
     ManifestError
         If nothing matches.
     """
-    by_name = {path.name: path for path in files} | {path.stem: path for path in files}
-    pairs = [(by_name.get(e.recording or "") or by_name.get(Path(e.file).stem), e) for e in manifest.experiments]
+    by_name = {_stem(path.name): path for path in files} | {path.name: path for path in files}
+    wanted = zip(told.experiments, told.recordings, strict=True)
+    pairs = [(by_name.get(name or "") or by_name.get(_stem(e.file)), e) for e, name in wanted]
     matched = [(path, e) for path, e in pairs if path is not None]
     if not matched:
-        if len(files) != len(manifest.experiments):
-            raise ManifestError(
-                f"{len(files)} recordings for {len(manifest.experiments)} experiments, and no names in common: name "
-                f"the recordings like the files they play ({manifest.experiments[0].file}, ...), or add "
-                '"recording": "NAME" to each experiment of the manifest'
-            )
-        return list(zip(files, manifest.experiments, strict=True)), ["recordings are matched with experiments by order"]
+        return _by_order(told, files), ["recordings are matched with experiments by order"]
     used = {path for path, _ in matched}
     words = [f"no recording of {e.file}" for path, e in pairs if path is None]
     words += [f"{path.name} belongs to no experiment of the manifest: left out" for path in files if path not in used]
     return matched, words
+
+
+def _stem(name: str) -> str:
+    return Path(name).stem
+
+
+def _by_order(told: Told, files: Sequence[Path]) -> list[tuple[Path, Experiment]]:
+    played = list(dict.fromkeys(e.file for e in told.experiments))
+    if len(files) != len(played):
+        raise ManifestError(
+            f"{len(files)} recordings for {len(played)} played files, and no names in common: name the recordings like "
+            f'the files they answer ({played[0]}, ...), or add "recording": "NAME" to each experiment of the manifest'
+        )
+    answer = dict(zip(played, files, strict=True))
+    return [(answer[e.file], e) for e in told.experiments]

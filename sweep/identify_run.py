@@ -19,7 +19,7 @@ from ..plant.recordings.channels import parse_channels
 from ..plant.recordings.read import recordings_in
 from ..plant.recordings.recording import RecordingError
 from .identify_listen import Fundamental, Listened, Task, listen
-from .identify_manifest import Manifest, match, read_manifest
+from .identify_manifest import Told, match, read_manifest
 
 POWER_MEANING = "active power out of the device at the PCC, of the fundamental, as recorded"
 
@@ -149,7 +149,7 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     f1_hz = _f1_of_table(seen, experiments, manifest)
     points = _completed(points_of(experiments, f1_hz), manifest, experiments)
     points = _joined(points, broadband_points([r.broadband for r in results if r.broadband], f1_hz))
-    rating = request.rating or _rating(manifest) or _recorded_rating(seen, say)
+    rating = request.rating or (manifest.rating if manifest else _recorded_rating(seen, say))
     op_id = request.op_id or (manifest.op_id if manifest else "recorded")
     response = _response(points, f1_hz, op_id)
     write_table(output, [response], _metadata(request, manifest, tasks, response, rating, seen))
@@ -160,7 +160,7 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
 # What to read
 
 
-def _tasks(request: Request, manifest: Manifest | None) -> tuple[list[Task], list[str]]:
+def _tasks(request: Request, manifest: Told | None) -> tuple[list[Task], list[str]]:
     files = [each for path in request.files for each in _existing(path)]
     if not files:
         raise IdentifyError(f"{', '.join(map(str, request.files))}: no recordings there")
@@ -170,7 +170,7 @@ def _tasks(request: Request, manifest: Manifest | None) -> tuple[list[Task], lis
             "in which direction was the current recorded? --direction load: positive into the device; "
             "--direction generator: positive out of it, towards the grid"
         )
-    rating = request.rating or _rating(manifest)
+    rating = request.rating or (manifest.rating if manifest else None)
     blank = Task(
         files[0],
         direction,
@@ -181,20 +181,14 @@ def _tasks(request: Request, manifest: Manifest | None) -> tuple[list[Task], lis
     )
     if manifest is None:
         return [replace(blank, path=path) for path in files], []
-    rated = Rating(manifest.bases.rated_voltage_v, manifest.bases.rated_power_va)
-    base = rated.peak_voltage_v if manifest.amplitude_unit == "V" else rated.peak_current_a
     pairs, words = match(manifest, files)
-    return [replace(blank, path=path, experiment=e, amplitude_base=base) for path, e in pairs], words
+    return [replace(blank, path=p, experiment=e, amplitude_base=manifest.amplitude_base) for p, e in pairs], words
 
 
 def _existing(path: Path) -> list[Path]:
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
     return recordings_in(path)
-
-
-def _rating(manifest: Manifest | None) -> Rating | None:
-    return None if manifest is None else Rating(manifest.bases.rated_voltage_v, manifest.bases.rated_power_va)
 
 
 def _recorded_rating(seen: Sequence[Fundamental], say: Say) -> Rating:
@@ -228,7 +222,7 @@ def _tell(result: Listened, say: Say) -> None:
 # Rows
 
 
-def _f1_of_table(seen: Sequence[Fundamental], experiments: Sequence[Experiment], manifest: Manifest | None) -> float:
+def _f1_of_table(seen: Sequence[Fundamental], experiments: Sequence[Experiment], manifest: Told | None) -> float:
     """Median of what the records have; the manifest's where the records cannot tell the two apart."""
     found = float(np.median([each.f1_hz for each in seen]))
     if manifest is None or not experiments:
@@ -237,7 +231,7 @@ def _f1_of_table(seen: Sequence[Fundamental], experiments: Sequence[Experiment],
     return manifest.f1_hz if abs(found - manifest.f1_hz) * window_s < SLIP else found
 
 
-def _completed(points: list[Point], manifest: Manifest | None, experiments: Sequence[Experiment]) -> list[Point]:
+def _completed(points: list[Point], manifest: Told | None, experiments: Sequence[Experiment]) -> list[Point]:
     """A manifest's points that have no experiment at all are rows too."""
     if manifest is None:
         return points
@@ -280,14 +274,15 @@ def _response(points: Sequence[Point], f1_hz: float, op_id: str) -> FrequencyRes
 
 def _metadata(
     request: Request,
-    manifest: Manifest | None,
+    manifest: Told | None,
     tasks: Iterable[Task],
     response: FrequencyResponse,
     rating: Rating,
     seen: Sequence[Fundamental],
 ) -> dict[str, Any]:
     voltage_v = float(np.median([each.line_voltage_v for each in seen]))
-    files = [{"name": task.path.name, "bytes": task.path.stat().st_size} for task in tasks]
+    paths = dict.fromkeys(task.path for task in tasks)
+    files = [{"name": path.name, "bytes": path.stat().st_size} for path in paths]
     direction = request.direction or (manifest.direction if manifest else None)
     return {
         "f1_hz": response.f1_hz,
@@ -306,7 +301,7 @@ def _metadata(
                 "channels": dict(request.channels),
                 "f1_hz": request.f1_hz,
                 "sample_rate_hz": request.sample_rate_hz,
-                "manifest": manifest.model_dump() if manifest else None,
+                "manifest": manifest.content if manifest else None,
             }
         },
         "plant": {"id": "recordings", "source_direction": direction, "n_recordings": len(files)},

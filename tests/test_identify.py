@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from seqsweep.plant.protocol import Job
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.baseline import baseline
 from seqsweep.sweep.config import Config
+from seqsweep.sweep.identify_run import identify, request_of
 from seqsweep.sweep.measure import measure
 from seqsweep.sweep.plan import make_plan
 
@@ -21,7 +23,9 @@ from . import by_hand
 from . import recording_files as files
 from .by_hand import Stretch
 from .commands import call
-from .test_hear import F1, branch, branch_y, noisy
+from .test_hear import F1, branch, branch_y, noisy, relative_norms
+
+DATA = Path(__file__).parent.parent / "data"
 
 POINTS = (31.0, 77.0, 153.0)
 BASES = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
@@ -42,7 +46,15 @@ def write(folder, points=POINTS, *, length_s=3.0, negate=False, noise=0.0):
             samples = files.six(Stretch(stretch.v, -stretch.i if negate else stretch.i))
             files.comtrade(folder / f"shot_{len(told):03d}", samples, form="FLOAT32")
             shot = {"f_hz": f, "injected_hz": at, "amplitude": 2.815, "phase_rad": 0.0}
-            told.append({"file": f"shot_{len(told):03d}.csv", "shots": [shot], "start_s": 0.0, "settle_s": 0.0})
+            told.append(
+                {
+                    "file": f"shot_{len(told):03d}.csv",
+                    "shots": [shot],
+                    "start_s": 0.0,
+                    "settle_s": 0.0,
+                    "duration_s": length_s,
+                }
+            )
     return told
 
 
@@ -51,7 +63,7 @@ def manifest(path, told, **more):
     content = {
         "format": "seqsweep-manifest",
         "version": "1.0.0",
-        "f1_hz": 50.0,
+        "f1_hz": F1,
         "sample_rate_hz": 10_000.0,
         "kind": "series_voltage",
         "amplitude_unit": "V",
@@ -126,6 +138,20 @@ def test_recordings_are_matched_by_name_then_by_order(tmp_path):
     assert np.linalg.norm(response.y[0] - branch_matrix(31.0)) < 1e-5 * np.linalg.norm(response.y[0])
 
 
+def test_several_experiments_may_follow_one_another_in_one_recording(tmp_path):
+    told, parts = [], []
+    for k, at in enumerate(both(77.0)):
+        parts.append(branch((at,), length_s=3.0, background=()))
+        shot = {"f_hz": 77.0, "injected_hz": at, "amplitude": 2.815, "phase_rad": 0.0}
+        told.append({"file": "all.csv", "shots": [shot], "start_s": 3.0 * k, "settle_s": 0.5, "duration_s": 2.5})
+    whole = Stretch(np.concatenate([p.v for p in parts]), np.concatenate([p.i for p in parts]))
+    files.comtrade(tmp_path / "all", files.six(whole), form="FLOAT32")
+    path = manifest(tmp_path / "m.json", told, direction="load")
+    response, _ = identified(tmp_path, tmp_path / "all.cfg", "--manifest", path)
+    assert list(response.f_hz) == [77.0]
+    assert np.linalg.norm(response.y[0] - branch_matrix(77.0)) < 1e-5 * np.linalg.norm(response.y[0])
+
+
 def test_a_recording_that_cannot_be_used_costs_its_points_and_no_others(tmp_path):
     told = write(tmp_path)
     samples = files.six(branch((77.0,), length_s=3.0))
@@ -190,8 +216,9 @@ def test_wrong_calls_are_refused_in_one_message_and_nothing_is_written(tmp_path,
         ({"version": "2.0.0"}, "version"),
         ({"format": "other"}, "format"),
         ({"experiments": []}, "experiments"),
-        ({"bases": {}}, "bases.rated_voltage_v"),
-        ({"experiments": [{"file": "x", "shots": [{"f_hz": -1, "injected_hz": 1, "amplitude": 1}]}]}, "f_hz"),
+        ({"bases": {}}, "rated_voltage_v"),
+        ({"experiments": [{"file": "x", "shots": [{"f_hz": -1, "injected_hz": 1, "amplitude": 1}]}]}, "experiments[0]"),
+        ({"f1_hz": 60.0}, "is neither 31 Hz nor its mirror 89 Hz"),
     ],
 )
 def test_a_manifest_of_another_form_is_refused_with_the_place(tmp_path, change, words):
@@ -212,6 +239,22 @@ def test_a_sampling_rate_that_makes_the_fundamental_absurd_is_said(tmp_path):
         files.comtrade(tmp_path / f"a{k}", files.six(branch((at,), length_s=3.0)), rate_hz=8000.0)
     _, said = identified(tmp_path, tmp_path / "a0.cfg", tmp_path / "a1.cfg", "--direction", "load")
     assert "a fundamental of 39.976 Hz is unusual; were it 50 Hz, the sampling rate would be 10006 Hz" in said
+
+
+TRUTH = json.loads((DATA / "truth.json").read_text())
+FOLDERS = sorted(path.name for path in DATA.iterdir() if path.is_dir() and not path.name.startswith("__"))
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_the_recordings_in_data_give_the_truth_beside_them_in_every_format(tmp_path, folder):
+    """Written by other code than the readers; 1e-3 is the turbine's own nonlinearity at four tones of 0.005 pu."""
+    direction = "generator" if folder == "pscad" else "load"
+    request = request_of([DATA / folder], DATA / "manifest.json", "", direction, "auto", None, (None, None), None)
+    assert identify(request, tmp_path / "y.parquet", jobs=1).all_ok
+    response = read_table(tmp_path / "y.parquet").responses[0]
+    exact = np.array([[complex(*at[name]) for name in ("pp", "pn", "np", "nn")] for at in TRUTH["y"]]).reshape(-1, 2, 2)
+    assert list(response.f_hz) == [at["f_hz"] for at in TRUTH["y"]]
+    assert relative_norms(response.y - exact, exact).max() < 1e-3
 
 
 def test_the_same_data_give_the_same_admittance_as_the_sweep():
