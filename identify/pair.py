@@ -76,18 +76,19 @@ def points_of(experiments: Sequence[Experiment], f1_hz: float) -> list[Point]:
         Fundamental to which frequencies are referred (Hz): a tone that stood d above the fundamental of its own
         record stands d above this one.
     """
+    if not experiments:
+        return []
     groups = _groups(experiments)
-    rows = sorted(
-        ((_row_hz(group, f1_hz, upper), group) for group in groups for upper in _sides(group)), key=lambda r: r[0]
-    )
-    rows = [(f, group) for f, group in rows if f > 0.0]
-    first = [_solve(group, f, f1_hz, None) for f, group in rows]
+    found = [(_row_hz(group, f1_hz, upper), n) for n, group in enumerate(groups) for upper in _sides(group)]
+    rows = [(f, n) for f, n in sorted(found) if f > 0.0]
+    first = [_solve(groups[n], f, f1_hz, None) for f, n in rows]
     slopes = _slopes(first)
     points = [
-        _solve(group, f, f1_hz, slopes[f]) if _apart(group) and f in slopes else point
-        for (f, group), point in zip(rows, first, strict=True)
+        _solve(groups[n], f, f1_hz, slopes[f]) if _apart(groups[n]) and f in slopes else point
+        for (f, n), point in zip(rows, first, strict=True)
     ]
-    return [_spoiled(point, group, groups) for point, (_, group) in zip(points, rows, strict=True)]
+    background = _background(groups)
+    return [_spoiled(point, groups[n], n, background) for point, (_, n) in zip(points, rows, strict=True)]
 
 
 def broadband_points(records: Sequence[Local], f1_hz: float) -> list[Point]:
@@ -126,7 +127,7 @@ def _groups(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
     """Experiments of one point: equal distance from f1, or a sum of frequencies that is twice the nominal f1."""
     groups: list[list[Experiment]] = []
     for experiment in sorted(experiments, key=lambda e: (abs(_distance(e)), _distance(e))):
-        home = next((group for group in reversed(groups[-4:]) if _belong(group[0], experiment)), None)
+        home = next((group for group in reversed(groups) if _belong(group[0], experiment)), None)
         if home is None:
             groups.append([experiment])
         else:
@@ -256,12 +257,9 @@ def _covariance(noise: np.ndarray, back: np.ndarray) -> np.ndarray:
 def _judged(group: list[Experiment], y: np.ndarray, covariance: np.ndarray, cond: float) -> tuple[str, str]:
     if not cond <= COND_LIMIT:
         return "ill_conditioned", f"cond(V) is {cond:.2g}: the experiments are nearly one"
-    spread = float(np.sqrt(np.trace(covariance)) / np.linalg.norm(y))
-    if not spread <= NOISY:
-        return (
-            "noisy",
-            f"the standard deviation of Y is {spread:.2g} of it; {NOISY:g} is the limit: record longer, or louder",
-        )
+    status, reason = _loud_enough(y, covariance)
+    if status != "ok":
+        return status, reason
     worst = max(group, key=lambda e: e.heard.residual)
     wanders = any(e.heard.drift_hz > 0.0 for e in group)  # then Y itself moves, and the scatter tells of it
     if not wanders and worst.heard.residual > max(UNSETTLED, 5.0 * worst.heard.expected):
@@ -299,14 +297,34 @@ def _blank(group: list[Experiment], f_hz: float) -> Point:
     )
 
 
-def _spoiled(point: Point, group: list[Experiment], groups: list[list[Experiment]]) -> Point:
+class _Background(NamedTuple):
+    """Lines of all records: order (multiple of f1), size of the voltage (V), number of the experiment; its group."""
+
+    order: np.ndarray
+    size_v: np.ndarray
+    experiment: np.ndarray
+    group_of: np.ndarray
+
+
+def _background(groups: list[list[Experiment]]) -> _Background:
+    heard = [(number, e.heard) for number, group in enumerate(groups) for e in group]
+    return _Background(
+        order=np.concatenate([each.background_hz / each.f1_hz for _, each in heard]),
+        size_v=np.concatenate([np.abs(each.background) for _, each in heard]),
+        experiment=np.repeat(np.arange(len(heard)), [len(each.background) for _, each in heard]),
+        group_of=np.array([number for number, _ in heard]),
+    )
+
+
+def _spoiled(point: Point, group: list[Experiment], number: int, background: _Background) -> Point:
     """A tone or mirror at the place of a line that other records have too cannot be told from it."""
     if point.status not in ("ok", "noisy"):
         return point
     for experiment in group:
         heard = experiment.heard
         places = np.array([heard.f_hz, 2.0 * heard.f1_hz - heard.f_hz])
-        level = [_elsewhere(place / heard.f1_hz, group, groups, 1.0 / heard.window_s / heard.f1_hz) for place in places]
+        near = 1.0 / heard.window_s / heard.f1_hz
+        level = [_elsewhere(place / heard.f1_hz, near, number, background) for place in places]
         k = int(np.argmax(level))
         if level[k] > COINCIDENT * np.linalg.norm(heard.v):
             return replace(
@@ -318,13 +336,15 @@ def _spoiled(point: Point, group: list[Experiment], groups: list[list[Experiment
     return point
 
 
-def _elsewhere(order: float, group: list[Experiment], groups: list[list[Experiment]], near: float) -> float:
-    """Median voltage (V) of a background line at this multiple of f1 in the experiments of other points."""
-    levels = []
-    for other in (e.heard for each in groups if each is not group for e in each):
-        at = np.abs(other.background_hz / other.f1_hz - order) < near
-        levels.append(float(np.max(np.abs(other.background[at]), initial=0.0)))
-    return float(np.median(levels)) if levels else 0.0
+def _elsewhere(order: float, near: float, number: int, background: _Background) -> float:
+    """Median voltage (V) of a line at this multiple of f1 in the experiments of other points than ``number``."""
+    others = background.group_of != number
+    if not others.any():
+        return 0.0
+    at = np.abs(background.order - order) < near
+    sizes = np.zeros(len(background.group_of))
+    np.maximum.at(sizes, background.experiment[at], background.size_v[at])
+    return float(np.median(sizes[others]))
 
 
 # Mirrors meant for another fundamental

@@ -139,13 +139,14 @@ def listen(task: Task) -> Listened:
         result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)
         return result._replace(notes=(*waveforms.notes(), *result.notes))
     except (RecordingError, HearingError) as error:
-        return Listened(name, refusal=_without_folder(str(error), task.path))
+        return Listened(name, refusal=_bare(error, task.path))
     except MemoryError:
         return Listened(name, refusal="does not fit into memory: cut it into several files")
 
 
-def _without_folder(text: str, path: Path) -> str:
-    return text.replace(str(path), path.name)
+def _bare(error: Exception, path: Path) -> str:
+    """The message without the name of the file and its folder."""
+    return str(error).replace(str(path), path.name).removeprefix(f"{path.name}: ")
 
 
 Stretches = list[tuple[int, int, tuple[PlayedTone, ...]]]
@@ -153,38 +154,55 @@ Stretches = list[tuple[int, int, tuple[PlayedTone, ...]]]
 
 
 def _experiments(task: Task, waveforms: Waveforms, stretches: Stretches) -> Listened:
-    """Every tone of every stretch."""
+    """Every tone of every stretch; a stretch that cannot be used costs no other."""
     notes: list[str] = []
     experiments: list[Experiment] = []
-    for start, stop, shots in stretches:
-        where = _where(waveforms, start, stop)
-        defect = defects(waveforms, start, stop)
-        if defect.clipped:
-            raise RecordingError(
-                f"{task.path.name}: {', '.join(defect.clipped)} clipped{where}: what a recorder cut off cannot be "
-                "restored; record again with a larger range"
-            )
-        if defect.missing:
-            notes.append(f"{defect.missing} samples are missing{where}")
-        heard = hear(waveforms, start, stop, tuple(shot.injected_hz for shot in shots), task.f1_hz)
-        for shot, each in zip(shots, heard, strict=True):
-            amplitude_pu = shot.amplitude / task.amplitude_base
-            served = shot.f_hz if task.experiment else None
-            if served is not None and abs(each.f_hz - shot.injected_hz) * each.window_s > CLOCK_CYCLES:
-                notes.append(_clocks(each.f_hz, shot.injected_hz) + where)
-            experiments.append(Experiment(f"{task.path.name}{where}", each, served, amplitude_pu))
-        notes += [f"{note}{where}" for note in heard[0].notes]
+    refusals: list[Exception] = []
+    for stretch in stretches:
+        try:
+            found, said = _stretch(task, waveforms, *stretch)
+        except (RecordingError, HearingError) as error:
+            refusals.append(error)
+            continue
+        experiments += found
+        notes += said
+    if not experiments:
+        raise refusals[0]
+    notes += [f"left out: {_bare(error, task.path)}" for error in refusals]
     fundamentals = tuple(Fundamental(e.heard.f1_hz, e.heard.v1, e.heard.i1) for e in experiments)
     notes += _lies(waveforms, fundamentals)
-    found = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
-    return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {found} Hz", *notes))
+    tones = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
+    return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {tones} Hz", *notes))
+
+
+def _stretch(
+    task: Task, waveforms: Waveforms, start: int, stop: int, shots: tuple[PlayedTone, ...]
+) -> tuple[list[Experiment], list[str]]:
+    """Tones of one stretch, and what is to be said of it."""
+    where = _where(waveforms, start, stop)
+    defect = defects(waveforms, start, stop)
+    if defect.clipped:
+        raise RecordingError(
+            f"{', '.join(defect.clipped)} clipped{where}: what a recorder cut off cannot be restored; record again "
+            "with a larger range"
+        )
+    heard = hear(waveforms, start, stop, tuple(shot.injected_hz for shot in shots), task.f1_hz)
+    notes = [f"{defect.missing} samples are missing{where}"] if defect.missing else []
+    notes += [f"{note}{where}" for note in heard[0].notes]
+    experiments = []
+    for shot, each in zip(shots, heard, strict=True):
+        served = shot.f_hz if task.experiment else None
+        if served is not None and abs(each.f_hz - shot.injected_hz) * each.window_s > CLOCK_CYCLES:
+            notes.append(_clocks(each.f_hz, shot.injected_hz) + where)
+        experiments.append(Experiment(task.path.name + where, each, served, shot.amplitude / task.amplitude_base))
+    return experiments, notes
 
 
 def _broadband(waveforms: Waveforms) -> Listened:
     """The 2x2 of a record in which no tone stands out, where it excites the device well enough."""
     name = waveforms.recording.path.name
     nothing = (
-        f"{name}: no tone stands above the noise long enough, and it is no broadband record either: record longer or "
+        "no tone stands above the noise long enough, and it is no broadband record either: record longer or "
         "louder, or tell what was injected with --manifest"
     )
     nominal = round(fundamental(waveforms, 0, waveforms.n_samples) / 10.0) * 10.0

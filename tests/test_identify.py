@@ -152,6 +152,21 @@ def test_several_experiments_may_follow_one_another_in_one_recording(tmp_path):
     assert np.linalg.norm(response.y[0] - branch_matrix(77.0)) < 1e-5 * np.linalg.norm(response.y[0])
 
 
+def test_a_clipped_stretch_of_a_long_recording_costs_no_other(tmp_path):
+    parts = [branch((at,), length_s=6.0, background=()) for f in (31.0, 77.0) for at in both(f)]
+    samples = files.six(Stretch(np.concatenate([p.v for p in parts]), np.concatenate([p.i for p in parts])))
+    samples[62_000:118_000, 3] = np.clip(samples[62_000:118_000, 3], -500.0, 500.0)
+    files.comtrade(tmp_path / "all", samples, form="FLOAT32")
+    response, said = identified(tmp_path, tmp_path / "all.cfg", "--direction", "load", status=1)
+    assert [(round(f), status) for f, status in zip(response.f_hz, response.status, strict=True)] == [
+        (23, "ok"),
+        (31, "failed"),
+        (69, "failed"),
+        (77, "ok"),
+    ]
+    assert "all.cfg: left out: Ia clipped (6." in said
+
+
 def test_a_recording_that_cannot_be_used_costs_its_points_and_no_others(tmp_path):
     told = write(tmp_path)
     samples = files.six(branch((77.0,), length_s=3.0))
@@ -161,7 +176,7 @@ def test_a_recording_that_cannot_be_used_costs_its_points_and_no_others(tmp_path
     response, said = identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--manifest", path, status=1)
     assert list(response.status) == ["ok", "failed", "ok"]
     assert "the mirror experiment at 77 Hz is missing" in response.reason[1]
-    assert "shot_002.cfg: left out: shot_002.cfg: Ia clipped" in said
+    assert "shot_002.cfg: left out: Ia clipped" in said
 
 
 def test_a_point_of_the_manifest_without_any_recording_is_a_failed_row(tmp_path):
