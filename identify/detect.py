@@ -37,6 +37,9 @@ STRONGER = 1.5
 NEAR_BINS, NEAR_F1 = 0.1, 1e-4
 """A line is a harmonic within this many bins and this part of its distance from f1."""
 
+BLURRED_BINS = 4.0
+"""Bins within which a frame blurs a tone with the fundamental, its mirror or the offset."""
+
 SAME_BIN = 0.6
 """Frames agree on a tone within this many bins."""
 
@@ -85,14 +88,17 @@ def find_tones(waveforms: Waveforms) -> list[Found]:
 
 
 def _refined(waveforms: Waveforms, found: Found, f1_hz: float, resolution: float) -> Found:
-    """The tone at the peak of a spectrum of its whole stretch: a frame blurs it with a harmonic next to it."""
+    """Next to a line that is always there a frame blurs the tone: its peak in a spectrum of the whole stretch."""
+    neighbours = (f1_hz, -f1_hz, 0.0)
+    if min(abs(found.f_hz - line) for line in neighbours) > BLURRED_BINS * resolution:
+        return found
     n = min(found.stop - found.start, SPECTRUM_SAMPLES)
     v = waveforms.record(found.stop - n, found.stop).v
-    rest = taken_off(np.where(np.isfinite(v), v, 0.0), *line_basis((f1_hz, -f1_hz, 0.0), waveforms.dt_s, n))[0]
+    rest = taken_off(np.where(np.isfinite(v), v, 0.0), *line_basis(neighbours, waveforms.dt_s, n))[0]
     size = np.abs(np.fft.fft(rest * np.hanning(n)))
     f_hz = np.fft.fftfreq(n, waveforms.dt_s)
     near = np.abs(f_hz - found.f_hz) < 2.0 * resolution
-    for line in (f1_hz, -f1_hz, 0.0):
+    for line in neighbours:
         near &= np.abs(f_hz - line) > 0.6 / (n * waveforms.dt_s)
     if not near.any():
         return found
