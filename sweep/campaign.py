@@ -1,6 +1,6 @@
 """The campaign runner: batches through joblib, shards on the way, the table at the end.
 
-The only module that knows joblib. The worker is one pure function, `measure`; everything that is
+The only module that knows joblib, with `identify_run`. The worker is one pure function, `measure`; everything that is
 kept is written by the runner, so that workers may be threads, processes or other machines.
 """
 

@@ -93,14 +93,8 @@ def run(
         raise _WrongInput(f"--backend {backend!r}: known are threading, loky and dask")
     if scheduler is not None and backend != "dask":
         raise _WrongInput("--scheduler goes with --backend dask")
-    if output.is_dir():
-        raise _WrongInput(f"{output} is a folder; name a file")
-    if output.exists() and not output.is_file():
-        raise _WrongInput(f"{output} is no ordinary file; a table cannot take its place")
-    if output.exists() and not force:
-        raise _WrongInput(f"{output} exists; --force replaces it")
+    _check_new(output, force)
     planned, plant = _planned(campaign, settings)
-    _check_folder(output)
     from .campaign import run as run_campaign
     from .progress import progress
 
@@ -108,10 +102,36 @@ def run(
         outcome = run_campaign(
             planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, discard=force, report=report
         )
-    counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.statuses.items(), key=lambda item: -item[1]))
-    typer.echo(f"{output}: {counts}", err=True)
+    _report(output, outcome.statuses)
     for remark in outcome.remarks:
         typer.echo(remark, err=True)
+    if not outcome.all_ok:
+        raise typer.Exit(NOT_ALL_OK)
+
+
+@app.command()
+def identify(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of them.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    manifest: Annotated[Path | None, typer.Option(metavar="FILE", help="What was injected (manifest.json).")] = None,
+    channels: Annotated[str, typer.Option(metavar="va=NAME,...", help="Which channel is which.")] = "",
+    direction: Annotated[str | None, typer.Option(metavar="load|generator", help="Of the recorded current.")] = None,
+    f1: Annotated[str, typer.Option(metavar="auto|HZ", help="Fundamental; auto: out of the data.")] = "auto",
+    sample_rate: Annotated[float | None, typer.Option(metavar="HZ", help="Overrules the files.")] = None,
+    rated_voltage_v: Annotated[float | None, typer.Option(metavar="V", help="Base, line-to-line RMS.")] = None,
+    rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Base.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+) -> None:
+    """Recordings of a perturbed device in, the same table out."""
+    from .identify_run import identify as identify_recordings
+    from .identify_run import request_of
+
+    _check_new(output, force)
+    request = request_of(files, manifest, channels, direction, f1, sample_rate, (rated_voltage_v, rated_power_va), op)
+    outcome = identify_recordings(request, output, jobs=jobs, say=lambda text: typer.echo(text, err=True))
+    _report(output, outcome.statuses)
     if not outcome.all_ok:
         raise typer.Exit(NOT_ALL_OK)
 
@@ -401,9 +421,17 @@ def _check_new(output: Path, force: bool) -> None:
     """Refuse an output that is in the way of nothing, or of something that may stay."""
     if output.is_dir():
         raise _WrongInput(f"{output} is a folder; name a file")
+    if output.exists() and not output.is_file():
+        raise _WrongInput(f"{output} is no ordinary file; a file cannot take its place")
     if output.exists() and not force:
         raise _WrongInput(f"{output} exists; --force replaces it")
     _check_folder(output)
+
+
+def _report(output: Path, statuses: dict[str, int]) -> None:
+    """One line on stderr: rows by status, the most frequent first."""
+    counts = ", ".join(f"{n} {status}" for status, n in sorted(statuses.items(), key=lambda item: -item[1]))
+    typer.echo(f"{output}: {counts}", err=True)
 
 
 def _check_folder(output: Path) -> None:

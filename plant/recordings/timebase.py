@@ -1,0 +1,78 @@
+"""From a column of times to one sampling step, or to the reason why there is none."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from .recording import RecordingError
+
+_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
+
+LOOSE = 0.75
+"""Largest distance of a time from its place on the uniform scale, in steps: printed times are rounded."""
+
+
+class TimeBase(NamedTuple):
+    """Time of the first sample and step (s), and what is to be said about them."""
+
+    t0_s: float
+    dt_s: float
+    notes: tuple[str, ...] = ()
+
+
+def is_time(name: str) -> bool:
+    """Whether a column of that name holds the time."""
+    return re.fullmatch(r"t|time|tid|zeit|temps|timestamp|time[ _]?stamp|domain", name.strip().lower()) is not None
+
+
+def seconds_per(unit: str) -> float:
+    """Factor from a unit of time to seconds; 1 where the unit is not given."""
+    return _SECONDS.get(unit.strip().lower(), 1.0)
+
+
+def time_base(path: Path, blocks: Iterable[np.ndarray]) -> TimeBase:
+    """Time base of times (s) that come in blocks.
+
+    Raises
+    ------
+    RecordingError
+        If a time is missing, time runs backwards or stands still, there is a gap, or the step varies.
+    """
+    first, last, n = np.nan, np.nan, 0
+    shortest, longest, longest_at = np.inf, 0.0, np.nan
+    for block in blocks:
+        if not np.all(np.isfinite(block)):
+            raise RecordingError(f"{path}: the time of sample {n + int(np.argmin(np.isfinite(block)))} is missing")
+        steps = np.diff(block, prepend=block[:1] if n == 0 else last)[1 if n == 0 else 0 :]
+        if len(steps) and np.min(steps) <= 0.0:
+            k = int(np.argmax(steps <= 0.0)) + (1 if n == 0 else 0)
+            raise RecordingError(
+                f"{path}: time runs backwards or stands still at sample {n + k} ({block[k]:.9g} s): "
+                "the file holds several recordings, or is damaged; cut it there"
+            )
+        if len(steps):
+            shortest = min(shortest, float(np.min(steps)))
+            if np.max(steps) > longest:
+                longest, longest_at = float(np.max(steps)), float(block[len(block) - len(steps) + np.argmax(steps)])
+        first, last, n = (float(block[0]) if n == 0 else first), float(block[-1]), n + len(block)
+    if n < 2:
+        raise RecordingError(f"{path}: {n} samples make no recording")
+    return _judge(path, TimeBase(first, (last - first) / (n - 1)), shortest, longest, longest_at)
+
+
+def _judge(path: Path, base: TimeBase, shortest: float, longest: float, longest_at: float) -> TimeBase:
+    step = base.dt_s
+    if longest > (2.0 - 1e-6) * shortest and longest > (1.0 + LOOSE) * step:
+        raise RecordingError(
+            f"{path}: the step of time varies from {shortest:.4g} to {longest:.4g} s (longest before {longest_at:.6g} "
+            "s): there is a gap, or the simulation chose its own steps; save at a fixed step, without gaps"
+        )
+    if longest - shortest > 1e-3 * step:
+        note = f"times are rounded (steps of {shortest:.6g} to {longest:.6g} s): taken as uniform, {1 / step:.9g} Hz"
+        return base._replace(notes=(note,))
+    return base

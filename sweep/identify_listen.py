@@ -1,0 +1,265 @@
+"""One recording: which experiments are in it, and what was heard of each. A pure function of a task; workers run it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import nan
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.detect import find_tones
+from ..identify.hear import HearingError, fundamental, hear
+from ..identify.local import Local, local_polynomials
+from ..identify.pair import NOISY, Experiment
+from ..plant.protocol import SourceDirection
+from ..plant.recordings.recording import RecordingError
+from ..plant.recordings.waveforms import Waveforms, defects, open_waveforms
+from .manifest_file import Experiment as Played
+from .manifest_file import PlayedTone
+
+F1_LIE = 2e-4
+"""Relative difference of the file's own f1 and the data's that is worth a word."""
+
+BROADBAND_HZ = np.geomspace(2.0, 1000.0, 100)
+"""Frequencies at which a broadband record is asked, as far as it excites them; f1 as nominal."""
+
+FEWEST_BROADBAND = 8
+"""Fewer frequencies that are not noisy make no broadband record."""
+
+MOST_OF = 0.9
+"""A record that holds less of the stretch a manifest speaks of was begun by a trigger: all of it is taken."""
+
+CLOCK_CYCLES = 0.01
+"""Cycles by which a tone may slip over its window before the clocks are worth a word."""
+
+NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
+NEAR_NOMINAL = 0.04
+"""A fundamental farther than this from every nominal one means a wrong sampling rate, most likely."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A recording and how it is to be read.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    direction : "load" or "generator"
+        Of its current.
+    channels : mapping
+        Role to channel name, where the user overrules the guess.
+    experiment : Played or None
+        What it holds; None: to be found.
+    f1_hz : float or None
+        The fundamental (Hz), None: estimated.
+    sample_rate_hz : float or None
+        Overrules the file.
+    base : (V, A) or None
+        Rated phase peaks.
+    amplitude_base : float
+        What the manifest's amplitudes are relative to (V or A); NaN.
+    """
+
+    path: Path
+    direction: SourceDirection
+    channels: Mapping[str, str] = field(default_factory=dict)
+    experiment: Played | None = None
+    f1_hz: float | None = None
+    sample_rate_hz: float | None = None
+    base: tuple[float, float] | None = None
+    amplitude_base: float = nan
+
+
+class Fundamental(NamedTuple):
+    """Frequency (Hz) and phasors (V, A; load direction) of the fundamental of a record."""
+
+    f1_hz: float
+    v1: complex
+    i1: complex
+
+    @property
+    def power_w(self) -> float:
+        """Active power out of the device at the PCC (W)."""
+        return float(-1.5 * np.real(self.v1 * np.conj(self.i1)))
+
+    @property
+    def apparent_va(self) -> float:
+        """Apparent power (VA)."""
+        return float(1.5 * abs(self.v1 * self.i1))
+
+    @property
+    def line_voltage_v(self) -> float:
+        """|v_pcc|, line-to-line RMS (V)."""
+        return float(abs(self.v1) * 1.5**0.5)
+
+
+class Listened(NamedTuple):
+    """What a recording gave.
+
+    Attributes
+    ----------
+    name : str
+        The file.
+    experiments : tuple of Experiment
+        Its tones.
+    broadband : Local or None
+        The 2x2 of a record without tones.
+    fundamentals : tuple of Fundamental
+        One per experiment, or one of the broadband record.
+    notes : tuple of str
+        What a person should know.
+    refusal : str or None
+        Why it gave nothing.
+    """
+
+    name: str
+    experiments: tuple[Experiment, ...] = ()
+    broadband: Local | None = None
+    fundamentals: tuple[Fundamental, ...] = ()
+    notes: tuple[str, ...] = ()
+    refusal: str | None = None
+
+
+def listen(task: Task) -> Listened:
+    """Read one recording and hear its experiments; a file that cannot be used says why and costs no other."""
+    name = task.path.name
+    try:
+        waveforms = open_waveforms(
+            task.path,
+            task.direction,
+            channels=task.channels,
+            base=task.base,
+            sample_rate_hz=task.sample_rate_hz,
+        )
+        stretches = _as_told(task.experiment, waveforms) if task.experiment else _found(waveforms)
+        result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)
+        return result._replace(notes=(*waveforms.notes(), *result.notes))
+    except (RecordingError, HearingError) as error:
+        return Listened(name, refusal=_bare(error, task.path))
+    except MemoryError:
+        return Listened(name, refusal="does not fit into memory: cut it into several files")
+
+
+def _bare(error: Exception, path: Path) -> str:
+    """The message without the name of the file and its folder."""
+    return str(error).replace(str(path), path.name).removeprefix(f"{path.name}: ")
+
+
+Stretches = list[tuple[int, int, tuple[PlayedTone, ...]]]
+"""First and last sample, and the tones that are on between them."""
+
+
+def _experiments(task: Task, waveforms: Waveforms, stretches: Stretches) -> Listened:
+    """Every tone of every stretch; a stretch that cannot be used costs no other."""
+    notes: list[str] = []
+    experiments: list[Experiment] = []
+    refusals: list[Exception] = []
+    for stretch in stretches:
+        try:
+            found, said = _stretch(task, waveforms, *stretch)
+        except (RecordingError, HearingError) as error:
+            refusals.append(error)
+            continue
+        experiments += found
+        notes += said
+    if not experiments:
+        raise refusals[0]
+    notes += [f"left out: {_bare(error, task.path)}" for error in refusals]
+    fundamentals = tuple(Fundamental(e.heard.f1_hz, e.heard.v1, e.heard.i1) for e in experiments)
+    notes += _lies(waveforms, fundamentals)
+    tones = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
+    return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {tones} Hz", *notes))
+
+
+def _stretch(
+    task: Task, waveforms: Waveforms, start: int, stop: int, shots: tuple[PlayedTone, ...]
+) -> tuple[list[Experiment], list[str]]:
+    """Tones of one stretch, and what is to be said of it."""
+    where = _where(waveforms, start, stop)
+    defect = defects(waveforms, start, stop)
+    if defect.clipped:
+        raise RecordingError(
+            f"{', '.join(defect.clipped)} clipped{where}: what a recorder cut off cannot be restored; record again "
+            "with a larger range"
+        )
+    heard = hear(waveforms, start, stop, tuple(shot.injected_hz for shot in shots), task.f1_hz)
+    notes = [f"{defect.missing} samples are missing{where}"] if defect.missing else []
+    notes += [f"{note}{where}" for note in heard[0].notes]
+    experiments = []
+    for shot, each in zip(shots, heard, strict=True):
+        served = shot.f_hz if task.experiment else None
+        if served is not None and abs(each.f_hz - shot.injected_hz) * each.window_s > CLOCK_CYCLES:
+            notes.append(_clocks(each.f_hz, shot.injected_hz) + where)
+        experiments.append(Experiment(task.path.name + where, each, served, shot.amplitude / task.amplitude_base))
+    return experiments, notes
+
+
+def _broadband(waveforms: Waveforms) -> Listened:
+    """The 2x2 of a record in which no tone stands out, where it excites the device well enough."""
+    name = waveforms.recording.path.name
+    nothing = (
+        "no tone stands above the noise long enough, and it is no broadband record either: record longer or "
+        "louder, or tell what was injected with --manifest"
+    )
+    nominal = round(fundamental(waveforms, 0, waveforms.n_samples) / 10.0) * 10.0
+    local = local_polynomials(waveforms, BROADBAND_HZ - nominal)
+    if not len(local.y):
+        raise HearingError(nothing)
+    spread = np.sqrt(np.trace(local.covariance, axis1=1, axis2=2)) / np.linalg.norm(local.y, axis=(1, 2))
+    if not np.count_nonzero(spread < NOISY) >= FEWEST_BROADBAND:
+        raise HearingError(nothing)
+    seen = (Fundamental(local.f1_hz, local.v1, local.i1),)
+    notes = (
+        "no tone stands out: taken as a broadband record and analysed by local polynomials "
+        f"({np.count_nonzero(spread < NOISY)} frequencies)",
+        *_lies(waveforms, seen),
+    )
+    return Listened(name, (), local, seen, notes)
+
+
+def _clocks(found_hz: float, told_hz: float) -> str:
+    ppm = (found_hz / told_hz - 1.0) * 1e6 if told_hz else nan
+    return f"the tone is at {found_hz:.8g} Hz, not at {told_hz:.8g} Hz: the clocks differ by {ppm:.3g} ppm"
+
+
+def _where(waveforms: Waveforms, start: int, stop: int) -> str:
+    if start == 0 and stop == waveforms.n_samples:
+        return ""
+    dt_s = waveforms.dt_s
+    return f" ({waveforms.t0_s + start * dt_s:.4g} to {waveforms.t0_s + stop * dt_s:.4g} s)"
+
+
+def _as_told(told: Played, waveforms: Waveforms) -> Stretches:
+    """The stretch a manifest speaks of, or the whole record where it is shorter: recorders start by triggers."""
+    dt_s, n = waveforms.dt_s, waveforms.n_samples
+    start = max(0, round((told.start_s + told.settle_s - waveforms.t0_s) / dt_s))
+    stop = min(n, start + round(told.duration_s / dt_s))
+    whole = stop - start >= MOST_OF * told.duration_s / dt_s
+    return [(start, stop, told.shots) if whole else (0, n, told.shots)]
+
+
+def _found(waveforms: Waveforms) -> Stretches:
+    """Stretches that nobody told of."""
+    found = find_tones(waveforms)
+    return [(each.start, each.stop, (PlayedTone(nan, each.f_hz, nan, nan),)) for each in found]
+
+
+def _lies(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
+    """Where the file's own word and its data differ."""
+    f1_hz = float(np.median([each.f1_hz for each in seen]))
+    claimed = waveforms.recording.header_f1_hz
+    notes = []
+    if claimed and abs(f1_hz / claimed - 1.0) > F1_LIE:
+        notes.append(f"the file says {claimed:g} Hz, its data {f1_hz:.6g} Hz: the data is believed")
+    if min(abs(f1_hz / nominal - 1.0) for nominal in NOMINAL_HZ) > NEAR_NOMINAL:
+        nominal = claimed or min(NOMINAL_HZ[:2], key=lambda x: abs(f1_hz / x - 1.0))
+        rate = nominal / f1_hz / waveforms.dt_s
+        notes.append(
+            f"a fundamental of {f1_hz:.6g} Hz is unusual; were it {nominal:g} Hz, the sampling rate would be "
+            f"{rate:.6g} Hz (--sample-rate)"
+        )
+    return notes

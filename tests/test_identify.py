@@ -1,0 +1,305 @@
+"""`seqsweep identify`: files in, the table out, from the command line; and the same numbers as the sweep's own path."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.hear import hear
+from seqsweep.identify.pair import Experiment, points_of
+from seqsweep.identify.table import read_table, validate_table
+from seqsweep.plant.protocol import Job
+from seqsweep.plant.registry import make_plant
+from seqsweep.sweep.baseline import baseline
+from seqsweep.sweep.config import Config
+from seqsweep.sweep.identify_run import identify, request_of
+from seqsweep.sweep.measure import measure
+from seqsweep.sweep.plan import make_plan
+
+from . import by_hand
+from . import recording_files as files
+from .by_hand import Stretch
+from .commands import call
+from .test_hear import F1, branch, branch_y, noisy, relative_norms
+
+DATA = Path(__file__).parent.parent / "data"
+
+POINTS = (31.0, 77.0, 153.0)
+BASES = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
+
+
+def both(f_hz):
+    """The two frequencies of a point."""
+    return f_hz, 2.0 * F1 - f_hz
+
+
+def write(folder, points=POINTS, *, length_s=3.0, negate=False, noise=0.0):
+    """COMTRADE recordings shot_000.cfg, ... of both experiments of every point; what a manifest says of them."""
+    told, rng = [], np.random.default_rng(0)
+    for f in points:
+        for at in both(f):
+            stretch = branch((at,), length_s=length_s, background=((-F1, 0.01),))
+            stretch = noisy(stretch, noise, rng) if noise else stretch
+            samples = files.six(Stretch(stretch.v, -stretch.i if negate else stretch.i))
+            files.comtrade(folder / f"shot_{len(told):03d}", samples, form="FLOAT32")
+            shot = {"f_hz": f, "injected_hz": at, "amplitude": 2.815, "phase_rad": 0.0}
+            told.append(
+                {
+                    "file": f"shot_{len(told):03d}.csv",
+                    "shots": [shot],
+                    "start_s": 0.0,
+                    "settle_s": 0.0,
+                    "duration_s": length_s,
+                }
+            )
+    return told
+
+
+def manifest(path, told, **more):
+    """Write a manifest; its path."""
+    content = {
+        "format": "seqsweep-manifest",
+        "version": "1.0.0",
+        "f1_hz": F1,
+        "sample_rate_hz": 10_000.0,
+        "kind": "series_voltage",
+        "amplitude_unit": "V",
+        "bases": BASES,
+        "operating_point": {"op_id": "p1", "active_power_mw": 0.6, "terminal_voltage_pu": 1.0},
+        "experiments": told,
+        "configuration": {},
+        **more,
+    }
+    path.write_text(json.dumps(content))
+    return path
+
+
+def identified(tmp_path, *arguments, status=0):
+    """Run the command; its table's only response and what it said."""
+    output = tmp_path / "y.parquet"
+    jobs = () if "--jobs" in arguments else ("--jobs", 1)
+    done = call("identify", *arguments, *jobs, "-o", output, "--force")
+    assert done.returncode == status, done.stderr
+    if status in (0, 1):
+        assert validate_table(output) == []
+        return read_table(output).responses[0], done.stderr
+    assert not output.exists()
+    return None, done.stderr
+
+
+def branch_matrix(f_hz):
+    """Y of the branch at one point."""
+    return np.diag([branch_y(f_hz), np.conj(branch_y(2.0 * F1 - f_hz))])
+
+
+def test_a_folder_of_recordings_without_a_manifest_becomes_a_table(tmp_path):
+    (tmp_path / "records").mkdir()
+    write(tmp_path / "records")
+    response, said = identified(tmp_path, tmp_path / "records", "--direction", "load")
+    assert response.f_hz == pytest.approx(sorted([31.0, 2 * F1 - 31.0, 77.0, 2 * F1 - 77.0, 153.0]), abs=1e-4)
+    for f, y in zip(response.f_hz, response.y, strict=True):
+        assert np.linalg.norm(y - branch_matrix(f)) < 1e-5 * np.linalg.norm(y)  # single precision
+    assert "shot_000.cfg: voltage: Va [V], Vb [V], Vc [V] (phases)" in said
+    assert "the file says 50 Hz, its data 49.97 Hz: the data is believed" in said
+    assert "no rating given" in said
+
+
+def test_with_a_manifest_the_rows_are_those_it_asks_for_in_its_bases(tmp_path):
+    told = write(tmp_path, negate=True)
+    path = manifest(tmp_path / "manifest.json", told, direction="generator")
+    response, _ = identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--manifest", path)
+    meta = read_table(tmp_path / "y.parquet").meta
+    assert response.f_hz == pytest.approx(POINTS, abs=1e-6)
+    for f, y in zip(response.f_hz, response.y, strict=True):
+        assert np.linalg.norm(y - branch_matrix(f)) < 1e-5 * np.linalg.norm(y)
+    assert response.quality["amplitude_pu"] == pytest.approx(2.815 / (690.0 * (2 / 3) ** 0.5))
+    assert meta["bases"]["rated_power_va"] == BASES["rated_power_va"]
+    assert meta["operating_points"][0]["op_id"] == "p1"
+    assert "recordings" in meta["configuration"]
+    assert meta["plant"]["source_direction"] == "generator"
+
+
+def test_recordings_are_matched_by_name_then_by_order(tmp_path):
+    told = write(tmp_path, POINTS[:1])
+    (tmp_path / "scope.cfg").write_bytes((tmp_path / "shot_001.cfg").read_bytes())
+    (tmp_path / "shot_001.dat").rename(tmp_path / "scope.dat")
+    (tmp_path / "shot_001.cfg").unlink()
+    named = [told[0], {**told[1], "recording": "scope.cfg"}]
+    path = manifest(tmp_path / "m.json", named, direction="load")
+    recordings = [tmp_path / "shot_000.cfg", tmp_path / "scope.cfg"]
+    assert len(identified(tmp_path, *recordings, "--manifest", path)[0]) == 1
+    others = [{**each, "file": f"x{k}.csv"} for k, each in enumerate(told)]
+    path = manifest(tmp_path / "m.json", others, direction="load")
+    response, said = identified(tmp_path, *recordings, "--manifest", path)
+    assert "matched with experiments by order" in said
+    assert np.linalg.norm(response.y[0] - branch_matrix(31.0)) < 1e-5 * np.linalg.norm(response.y[0])
+
+
+def test_several_experiments_may_follow_one_another_in_one_recording(tmp_path):
+    told, parts = [], []
+    for k, at in enumerate(both(77.0)):
+        parts.append(branch((at,), length_s=3.0, background=()))
+        shot = {"f_hz": 77.0, "injected_hz": at, "amplitude": 2.815, "phase_rad": 0.0}
+        told.append({"file": "all.csv", "shots": [shot], "start_s": 3.0 * k, "settle_s": 0.5, "duration_s": 2.5})
+    whole = Stretch(np.concatenate([p.v for p in parts]), np.concatenate([p.i for p in parts]))
+    files.comtrade(tmp_path / "all", files.six(whole), form="FLOAT32")
+    path = manifest(tmp_path / "m.json", told, direction="load")
+    response, _ = identified(tmp_path, tmp_path / "all.cfg", "--manifest", path)
+    assert list(response.f_hz) == [77.0]
+    assert np.linalg.norm(response.y[0] - branch_matrix(77.0)) < 1e-5 * np.linalg.norm(response.y[0])
+
+
+def test_a_clipped_stretch_of_a_long_recording_costs_no_other(tmp_path):
+    parts = [branch((at,), length_s=6.0, background=()) for f in (31.0, 77.0) for at in both(f)]
+    samples = files.six(Stretch(np.concatenate([p.v for p in parts]), np.concatenate([p.i for p in parts])))
+    samples[62_000:118_000, 3] = np.clip(samples[62_000:118_000, 3], -500.0, 500.0)
+    files.comtrade(tmp_path / "all", samples, form="FLOAT32")
+    response, said = identified(tmp_path, tmp_path / "all.cfg", "--direction", "load", status=1)
+    assert [(round(f), status) for f, status in zip(response.f_hz, response.status, strict=True)] == [
+        (23, "ok"),
+        (31, "failed"),
+        (69, "failed"),
+        (77, "ok"),
+    ]
+    assert "all.cfg: left out: Ia clipped (6." in said
+
+
+def test_a_recording_that_cannot_be_used_costs_its_points_and_no_others(tmp_path):
+    told = write(tmp_path)
+    samples = files.six(branch((77.0,), length_s=3.0))
+    samples[:, 3] = np.clip(samples[:, 3], -500.0, 500.0)
+    files.comtrade(tmp_path / "shot_002", samples, form="FLOAT32")
+    path = manifest(tmp_path / "m.json", told, direction="load")
+    response, said = identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--manifest", path, status=1)
+    assert list(response.status) == ["ok", "failed", "ok"]
+    assert "the mirror experiment at 77 Hz is missing" in response.reason[1]
+    assert "shot_002.cfg: left out: Ia clipped" in said
+
+
+def test_a_point_of_the_manifest_without_any_recording_is_a_failed_row(tmp_path):
+    told = write(tmp_path)
+    for stem in ("shot_002", "shot_003"):
+        (tmp_path / f"{stem}.cfg").unlink()
+    path = manifest(tmp_path / "m.json", told, direction="load")
+    response, said = identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--manifest", path, status=1)
+    assert list(response.status) == ["ok", "failed", "ok"]
+    assert "no recording of shot_002.csv" in said
+
+
+def test_the_table_does_not_depend_on_the_number_of_workers(tmp_path):
+    write(tmp_path, noise=1e-3)
+    tables = []
+    for jobs in (1, 2):
+        identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--direction", "load", "--jobs", jobs)
+        tables.append((tmp_path / "y.parquet").read_bytes())
+    assert tables[0] == tables[1]
+
+
+def test_recordings_cannot_be_confirmed_and_are_refused_by_name(tmp_path):
+    write(tmp_path, (20.0, 31.0, 77.0, 153.0, 250.3, 400.3))
+    identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--direction", "load")
+    done = call("tune", tmp_path / "y.parquet", "--grid", "0.012+0.25j", "--confirm")
+    assert done.returncode == 2
+    assert "recordings and imports cannot be confirmed" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "in which direction was the current recorded"),
+        (["--direction", "up"], "--direction 'up': it is load"),
+        (["--direction", "load", "--f1", "fast"], "--f1 'fast': it is auto, or a frequency"),
+        (["--direction", "load", "--channels", "vx=Va"], "is not ROLE=NAME"),
+        (["--direction", "load", "--channels", "va=None"], "no channel is called 'None'"),
+        (["--direction", "load", "--manifest", "none.json"], "none.json: no such file"),
+        (["--direction", "load", "--rated-voltage-v", "690"], "go together"),
+        (["--direction", "load", "nowhere.cfg"], "nowhere.cfg: no such file"),
+    ],
+)
+def test_wrong_calls_are_refused_in_one_message_and_nothing_is_written(tmp_path, arguments, words):
+    files.comtrade(tmp_path / "a", files.six(branch((77.0,), length_s=0.3)))
+    _, said = identified(tmp_path, tmp_path / "a.cfg", *arguments, status=2)
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"version": "2.0.0"}, "version"),
+        ({"format": "other"}, "format"),
+        ({"experiments": []}, "experiments"),
+        ({"bases": {}}, "rated_voltage_v"),
+        ({"experiments": [{"file": "x", "shots": [{"f_hz": -1, "injected_hz": 1, "amplitude": 1}]}]}, "experiments[0]"),
+        ({"f1_hz": 60.0}, "is neither 31 Hz nor its mirror 89 Hz"),
+    ],
+)
+def test_a_manifest_of_another_form_is_refused_with_the_place(tmp_path, change, words):
+    told = write(tmp_path, POINTS[:1], length_s=0.3)
+    path = manifest(tmp_path / "m.json", told, **change)
+    _, said = identified(tmp_path, tmp_path / "shot_000.cfg", "--manifest", path, "--direction", "load", status=2)
+    assert words in said
+
+
+def test_a_recording_without_a_tone_says_what_to_do(tmp_path):
+    files.comtrade(tmp_path / "a", files.six(branch((), length_s=2.0, background=())), form="FLOAT32")
+    _, said = identified(tmp_path, tmp_path / "a.cfg", "--direction", "load", status=2)
+    assert "no tone stands above the noise" in said
+
+
+def test_a_sampling_rate_that_makes_the_fundamental_absurd_is_said(tmp_path):
+    for k, at in enumerate(both(77.0)):
+        files.comtrade(tmp_path / f"a{k}", files.six(branch((at,), length_s=3.0)), rate_hz=8000.0)
+    _, said = identified(tmp_path, tmp_path / "a0.cfg", tmp_path / "a1.cfg", "--direction", "load")
+    assert "a fundamental of 39.976 Hz is unusual; were it 50 Hz, the sampling rate would be 10006 Hz" in said
+
+
+TRUTH = json.loads((DATA / "truth.json").read_text())
+FOLDERS = sorted(path.name for path in DATA.iterdir() if path.is_dir() and not path.name.startswith("__"))
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_the_recordings_in_data_give_the_truth_beside_them_in_every_format(tmp_path, folder):
+    """Written by other code than the readers; 1e-3 is the turbine's own nonlinearity at four tones of 0.005 pu."""
+    direction = "generator" if folder == "pscad" else "load"
+    request = request_of([DATA / folder], DATA / "manifest.json", "", direction, "auto", None, (None, None), None)
+    assert identify(request, tmp_path / "y.parquet", jobs=1).all_ok
+    response = read_table(tmp_path / "y.parquet").responses[0]
+    exact = np.array([[complex(*at[name]) for name in ("pp", "pn", "np", "nn")] for at in TRUTH["y"]]).reshape(-1, 2, 2)
+    assert list(response.f_hz) == [at["f_hz"] for at in TRUTH["y"]]
+    assert relative_norms(response.y - exact, exact).max() < 1e-3
+
+
+def test_the_same_data_give_the_same_admittance_as_the_sweep():
+    """Records of the reference turbine, from the sweep's own settled state, heard with nothing known but the tones.
+
+    The sweep stops when two windows agree to the tolerance asked (1e-9); the record begins when all is long at rest.
+    """
+    config = Config.from_dict(
+        {
+            "campaign": {"name": "same"},
+            "plant": {"id": "dpmsg-v1"},
+            "operating_point": [{"id": "p", "active_power_mw": 0.65, "terminal_voltage_pu": 1.0}],
+            "sweep": {"f_hz": [23.0, 250.0], "tolerance": 1e-9, "probes": 0},
+            "injection": {"amplitude_pu": 0.0005},
+        }
+    )
+    plant = make_plant("dpmsg-v1")
+    plan = make_plan(config, plant)
+    rows = {row.f_hz: row for batch in plan.batches() for row in measure(plant, plan, batch).rows}
+    state = baseline(plant, plan, next(plan.batches())).state
+    found = []
+    for shot in plan.shots():
+        settled, _ = plant.run([Job(state, plan.injection(shot))], round(15.0 / plan.dt_s))[0]
+        _, record = plant.run([Job(settled, plan.injection(shot))], round(2.0 / plan.dt_s))[0]
+        waveforms = by_hand.Heard(Stretch(record.v, record.i, record.dt_s), t0_s=record.t0_s)
+        (heard,) = hear(waveforms, 0, waveforms.n_samples, (shot.injected_hz,))
+        found.append(Experiment("", heard, shot.f_hz))
+    for point in points_of(found, plan.f1_hz):
+        row = rows[min(rows, key=lambda f: abs(f - point.f_hz))]
+        swept = np.array(row.y[0::2]) + 1j * np.array(row.y[1::2])
+        difference = np.linalg.norm(point.y.ravel() - swept) / np.linalg.norm(swept)
+        print(f"{point.f_hz:g} Hz: recording and sweep differ by {difference:.1e}")
+        assert difference < 1e-8
