@@ -24,6 +24,7 @@ NAMES = (
     "scaling",
     "parallel",
     "process",
+    "recordings",
     "thousand",
     "host",
 )

@@ -16,7 +16,6 @@ from .hear import (
     SPECTRUM_SAMPLES,
     fundamental,
     interpolated,
-    line_basis,
     neighbourhood,
     taken_off,
 )
@@ -94,12 +93,14 @@ def _refined(waveforms: Waveforms, found: Found, f1_hz: float, resolution: float
         return found
     n = min(found.stop - found.start, SPECTRUM_SAMPLES)
     v = waveforms.record(found.stop - n, found.stop).v
-    rest = taken_off(np.where(np.isfinite(v), v, 0.0), *line_basis(neighbours, waveforms.dt_s, n))[0]
+    own_f1_hz = fundamental(waveforms, found.stop - n, found.stop)
+    basis = _fundamental(own_f1_hz, n, waveforms.dt_s)
+    rest, _ = taken_off(np.where(np.isfinite(v), v, 0.0), basis, np.eye(len(basis)))
     size = np.abs(np.fft.fft(rest * np.hanning(n)))
     f_hz = np.fft.fftfreq(n, waveforms.dt_s)
     near = np.abs(f_hz - found.f_hz) < 2.0 * resolution
-    for line in neighbours:
-        near &= np.abs(f_hz - line) > 0.6 / (n * waveforms.dt_s)
+    for line in (own_f1_hz, -own_f1_hz, 0.0):
+        near &= np.abs(f_hz - line) > 2.0 / (n * waveforms.dt_s)
     if not near.any():
         return found
     return found._replace(f_hz=interpolated(size, int(np.argmax(np.where(near, size, 0.0)))) / (n * waveforms.dt_s))

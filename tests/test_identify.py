@@ -199,7 +199,7 @@ def test_the_table_does_not_depend_on_the_number_of_workers(tmp_path):
 
 
 def test_recordings_cannot_be_confirmed_and_are_refused_by_name(tmp_path):
-    write(tmp_path, (20.0, 31.0, 77.0, 153.0, 250.3, 400.3))
+    write(tmp_path, (20.0, 31.0, 77.0, 115.0, 153.0, 203.0, 250.3, 330.3, 400.3, 560.3), length_s=2.0)
     identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--direction", "load")
     done = call("tune", tmp_path / "y.parquet", "--grid", "0.012+0.25j", "--confirm")
     assert done.returncode == 2
