@@ -20,8 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .barycentric import interpolants, poles
-from .fit import DqData, RationalModel, evaluate, fit_poles, gradient, to_dq
+from .fit import fit_poles
+from .folded import DqData, to_dq
 from .frames import dq_to_pn
+from .rational import RationalModel, evaluate, gradient
 from .response import FrequencyResponse
 
 FIRST_POINTS = 8

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .fit import DqData
+from .folded import DqData
 
 
 class Barycentric(NamedTuple):

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.fit import evaluate_pn, fit_response
+from ..identify.fit import fit_response
+from ..identify.rational import evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard

@@ -14,7 +14,7 @@ import pytest
 
 from seqsweep.identify.adaptive import NEAREST_HZ, band_of, decide, first_places, interpolate
 from seqsweep.identify.barycentric import interpolants, poles
-from seqsweep.identify.fit import DqData, to_dq
+from seqsweep.identify.folded import DqData, to_dq
 from seqsweep.identify.frames import pn_to_dq
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table import read_table, validate_table

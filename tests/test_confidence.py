@@ -13,17 +13,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from seqsweep.identify.fit import (
-    Rational,
-    RationalModel,
-    evaluate,
-    evaluate_pn,
-    fit_response,
-    gradient,
-    row_shares,
-    spread,
-    to_dq,
-)
+from seqsweep.identify.fit import fit_response
+from seqsweep.identify.folded import to_dq
+from seqsweep.identify.rational import Rational, RationalModel, evaluate, evaluate_pn, gradient, row_shares, spread
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.uncertainty import real_covariance, student_factor
 from seqsweep.plant.dpmsg_parameters import TABLE_I, TurbineParameters

@@ -8,16 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqsweep.identify.fit import (
-    MIN_POINTS,
-    RationalModel,
-    derivative,
-    evaluate,
-    evaluate_pn,
-    fit_response,
-    gradient,
-    to_dq,
-)
+from seqsweep.identify.fit import MIN_POINTS, fit_response
+from seqsweep.identify.folded import to_dq
+from seqsweep.identify.rational import RationalModel, derivative, evaluate, evaluate_pn, gradient
 from seqsweep.identify.response import FrequencyResponse
 
 from . import oracle
@@ -207,6 +200,12 @@ def test_neighbouring_model_is_a_good_start() -> None:
 def test_too_few_rows_are_refused() -> None:
     with pytest.raises(ValueError, match=f"5 of 5 rows are usable; a rational model needs at least {MIN_POINTS}"):
         fit_response(turbine(f_hz=np.geomspace(10.0, 100.0, 5)))
+
+
+def test_rows_none_of_which_is_usable_fold_to_nothing() -> None:
+    assert len(to_dq(turbine(f_hz=F_HZ[:3], status=["failed"] * 3)).nu_hz) == 0
+    with pytest.raises(ValueError, match="0 of 3 rows are usable"):
+        fit_response(turbine(f_hz=F_HZ[:3], status=["failed"] * 3))
 
 
 def test_scikit_rf_fits_the_same_admittance() -> None:

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from seqsweep.identify.fit import evaluate, fit_response
+from seqsweep.identify.fit import fit_response
+from seqsweep.identify.rational import evaluate
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.margins import (
     critical_scale,

@@ -13,7 +13,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from seqsweep.identify.fit import evaluate_pn, fit_response
+from seqsweep.identify.fit import fit_response
+from seqsweep.identify.rational import evaluate_pn
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table import TableError, read_table, write_table
 from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit import Rational, RationalModel, evaluate, evaluate_pn, shifted, spread
 from ..identify.frames import T_INVERSE, T, dq_to_pn
+from ..identify.rational import Rational, RationalModel, evaluate, evaluate_pn, shifted, spread
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
 from .stability import Crossing

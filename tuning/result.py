@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.fit import RationalModel
+from ..identify.rational import RationalModel
 from .gain import GainSearch
 from .intervals import NORMAL_95, Interval
 from .margins import LocusMargins, Participation

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.fit import RationalModel, evaluate, evaluate_pn, spread
+from ..identify.rational import RationalModel, evaluate, evaluate_pn, spread
 from .advice import remedy
 from .poles import ClosedLoop, closed_loop
 from .siso import Grid, check_fundamental, impedance_dq, impedance_pn, siso

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..identify.fit import MIN_POINTS, RationalModel, evaluate, evaluate_pn, fit_response, to_dq
+from ..identify.fit import MIN_POINTS, fit_response
+from ..identify.folded import to_dq
+from ..identify.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
 from .gain import gain_for_margin, predicted_crossing
 from .intervals import margin_interval, scale_interval

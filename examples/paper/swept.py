@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqsweep.identify.fit import evaluate_pn
+from seqsweep.identify.rational import evaluate_pn
 from seqsweep.sweep.config import Config
 from seqsweep.sweep.confirm import margin_with, sweep_with_damping
 from seqsweep.tuning.gain import GainSearch, search_gain

@@ -1,0 +1,167 @@
+"""The finished model: what noise, cuts and a missed mode may have done to it, and what is worth a note."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .folded import ELEMENTS
+from .least_squares import (
+    Linear,
+    Problem,
+    Trial,
+    block_diagonal,
+    datum_variance,
+    floor_cost,
+    inverse_r,
+    projected_jacobian,
+    refine,
+    solve_residues,
+)
+from .model_order import with_pair
+from .partial_fractions import counts_upper, order_of, parts
+from .rational import Rational, RationalModel
+from .residue_ranks import cut_ranks, truncated, uncut
+from .vector_fit import vector_fit
+
+_ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
+_FEIGNED = 18.0  # chi-squared that a pair of poles sought over the band gains from noise alone, on average
+_LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
+
+
+def finished(
+    problem: Problem, f1_hz: float, trial: Trial, notes: tuple[str, ...], whole_ranks: bool = False
+) -> RationalModel:
+    """The model with the poles of ``trial``; with ``whole_ranks`` as it is, neither cut nor compared with a rival."""
+    linear = solve_residues(problem, trial.poles, trial.tail)
+    cut = uncut(trial, linear) if whole_ranks else cut_ranks(problem, trial, linear)
+    n_real, n_pair = counts_upper(trial.poles)
+    residues, d, e = parts(n_real, n_pair, trial.tail, cut.coefficients)
+    m = n_real + 2 * n_pair
+    root = _covariance_root(problem, trial, linear)
+    root[m:] = cut.kept @ root[m:]
+    rival, rival_share = (None, 0.0) if whole_ranks else _rival(problem, trial)
+    std = np.linalg.norm(root[:m], axis=1)
+    pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
+    model = RationalModel(
+        f1_hz=f1_hz,
+        poles=np.concatenate([trial.poles, trial.poles[n_real:].conj()]),
+        residues=truncated(residues, cut.ranks),
+        d=d,
+        e=e,
+        tail=trial.tail,
+        ranks=cut.ranks,
+        bic=trial.bic,
+        residual=float(np.sqrt(linear.cost / linear.misfit.size)),
+        noise_floor=problem.noise_floor,
+        weighting=problem.weighting,
+        nu_hz=problem.s.imag / (2.0 * np.pi),
+        weight=problem.weight.T,
+        covariance_root=root,
+        rival=rival,
+        rival_share=rival_share,
+        pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
+        notes=notes,
+    )
+    return _with_sign_notes(model)
+
+
+def _with_sign_notes(model: RationalModel) -> RationalModel:
+    """Note every pole in the right half-plane, and every lightly damped one whose half-plane the data leave open."""
+    noted = []
+    for pole, std in zip(model.poles, model.pole_std, strict=True):
+        text = f"{pole.real:+.3g} +- {std.real:.2g} rad/s, {abs(pole.imag) / (2.0 * np.pi):.3g} Hz (dq)"
+        unswept = abs(pole) < 2.0 * np.pi * model.nu_hz[0]
+        is_open = abs(pole.real) < min(2.0 * std.real, _LIGHT * abs(pole)) or (pole.real > 0.0 and unswept)
+        if pole.imag >= 0.0 and is_open:
+            noted.append(f"the half-plane of the device's own pole at {text} is not decided by the data")
+        elif pole.imag >= 0.0 and pole.real > 0.0:
+            noted.append(f"the device is unstable on an ideal source: it has a pole of its own at {text}")
+    return replace(model, notes=(*model.notes, *noted))
+
+
+# The rival -----------------------------------------------------------------------------------------------------------
+
+
+def _rival(problem: Problem, trial: Trial) -> tuple[Rational | None, float]:
+    """The fit with one pair more, and the share of its difference that counts as an error.
+
+    A mode just too faint to pay is no noise: left out, it moves the others. The squared share is the part of the
+    rival's gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
+    """
+    room = order_of(trial.poles) + 2 <= (len(problem.s) - 1) // 2
+    if trial.cost < 4.0 * floor_cost(problem) or not room:
+        return None, 0.0
+    more = vector_fit(problem, with_pair(problem, trial), trial.tail, n_iterations=4)
+    more = refine(problem, more, n_iterations=3)
+    n_real, n_pair = counts_upper(more.poles)
+    linear = solve_residues(problem, more.poles, more.tail)
+    gain = (trial.cost - more.cost) / datum_variance(problem, more, linear)
+    if gain <= _FEIGNED:
+        return None, 0.0
+    residues, d, e = parts(n_real, n_pair, more.tail, linear.coefficients)
+    rival = Rational(np.concatenate([more.poles, more.poles[n_real:].conj()]), residues, d, e)
+    return rival, float(np.sqrt(1.0 - _FEIGNED / gain))
+
+
+# The covariance ------------------------------------------------------------------------------------------------------
+
+
+def _covariance_root(problem: Problem, trial: Trial, linear: Linear) -> np.ndarray:
+    """Root of the covariance of poles and coefficients: their least squares' response to the noise of the data.
+
+    Weights need not be those of the noise, and noise is correlated between elements: the error is R^-1 Q^T noise, and
+    its covariance R^-1 (Q^T cov Q) R^-T.
+    """
+    jacobian, inside = projected_jacobian(problem, trial, linear)
+    m, c = jacobian.shape[1], linear.r.shape[1]
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    u, singular, vh = np.linalg.svd(jacobian / size, full_matrices=False)
+    poles = vh.T / np.maximum(singular, 1e-13 * singular.max(initial=0.0)) / size[:, None]
+    r_inverse = inverse_r(linear)
+    root = np.zeros((m + ELEMENTS * c,) * 2)
+    root[:m, :m] = poles
+    root[m:, :m] = -(r_inverse @ (inside @ poles)).reshape(ELEMENTS * c, m)
+    root[m:, m:] = block_diagonal(r_inverse)
+    directions = np.concatenate([u.reshape(*linear.misfit.shape, m), _block_columns(linear.q)], axis=2)
+    return root @ _noise_root(problem, linear, directions)
+
+
+def _noise_root(problem: Problem, linear: Linear, directions: np.ndarray) -> np.ndarray:
+    """Root (k, k) of the covariance of the noise along orthonormal ``directions`` (4, 2n, k)."""
+    n, k = len(problem.s), directions.shape[2]
+    by_row = directions.reshape(ELEMENTS, 2, n, k).transpose(2, 0, 1, 3).reshape(n, 2 * ELEMENTS, k)
+    if problem.noise is None:
+        noise = _noise_of_misfit(linear, by_row)
+    else:
+        noise = _noise_of_table(problem.noise, linear, by_row)
+    spread = np.tensordot(by_row, noise @ by_row, axes=([0, 1], [0, 1]))
+    variance, axes = np.linalg.eigh(spread)
+    return axes * np.sqrt(np.maximum(variance, (1e-3 * problem.floor) ** 2))
+
+
+def _noise_of_table(noise: np.ndarray, linear: Linear, by_row: np.ndarray) -> np.ndarray:
+    """(n, 8, 8): the table's covariances, scaled so that they explain the misfit."""
+    left = np.einsum("nii->", noise) - np.sum(by_row * (noise @ by_row))
+    return noise * (linear.cost / left)
+
+
+def _noise_of_misfit(linear: Linear, by_row: np.ndarray) -> np.ndarray:
+    """(n, 8, 8): the misfit's own covariance, averaged over neighbouring rows; what the fit took is given back."""
+    n = len(by_row)
+    taken = np.minimum(np.sum(by_row**2, axis=2), 0.9)
+    misfit = linear.misfit.reshape(ELEMENTS, 2, n).transpose(2, 0, 1).reshape(n, -1) / np.sqrt(1.0 - taken)
+    total = np.concatenate([np.zeros((1, 8, 8)), np.cumsum(misfit[:, :, None] * misfit[:, None, :], axis=0)])
+    half = min(_ALIKE, n) // 2
+    first = np.clip(np.arange(n) - half, 0, n - 2 * half)
+    return (total[first + 2 * half] - total[first]) / (2 * half)
+
+
+def _block_columns(blocks: np.ndarray) -> np.ndarray:
+    """(4, n, c) to (4, n, 4 c): block e in columns of its own."""
+    e, n, c = blocks.shape
+    full = np.zeros((e, n, e, c))
+    full[np.arange(e), :, np.arange(e), :] = blocks
+    return full.reshape(e, n, e * c)

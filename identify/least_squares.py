@@ -1,0 +1,185 @@
+"""Weighted least squares: residues for given poles, and poles moved to where they fit best."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .folded import ELEMENTS, DqData
+from .partial_fractions import basis, counts_upper, order_of, pairs_joined, separated
+
+_SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
+
+
+class Problem(NamedTuple):
+    """Weighted data in one shape: s (n,) rad/s, y (4, n) S, weight (4, n), floor in units of the weighted misfit.
+
+    ``noise`` (n, 8, 8) is the covariance of the weighted data over (re, im) of each element, to a factor; None where
+    only the misfit can tell.
+    """
+
+    s: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    noise: np.ndarray | None
+    floor: float
+    weighting: str
+    noise_floor: float
+
+
+class Trial(NamedTuple):
+    """Poles (upper half, real ones first), the number of tail terms, the sum of squares and the BIC."""
+
+    poles: np.ndarray
+    tail: int
+    cost: float
+    bic: float
+
+
+def weighted(data: DqData, noise_floor: float, part: float | None = None) -> Problem:
+    """Weights from the noise and, beside it, a ``part`` of Y (default: the noise floor) in every number."""
+    part = noise_floor if part is None else part
+    size = np.linalg.norm(data.y, axis=(1, 2)) / 2.0
+    s = 2j * np.pi * data.nu_hz
+    y = data.y.reshape(-1, ELEMENTS).T
+    if data.std is None:
+        weight = np.broadcast_to(1.0 / size, y.shape)
+        return Problem(s, y, weight, None, noise_floor, "relative", noise_floor)
+    weight = 1.0 / np.hypot(data.std.reshape(-1, ELEMENTS).T, part * size)
+    by_row = np.repeat(weight.T, 2, axis=1)
+    own = np.repeat(data.std.reshape(-1, ELEMENTS) ** 2, 2, axis=1)[:, :, None] * np.eye(2 * ELEMENTS)
+    noise = own if data.covariance is None else data.covariance
+    noise = noise + (part * size)[:, None, None] ** 2 * np.eye(2 * ELEMENTS)
+    noise = noise * by_row[:, :, None] * by_row[:, None, :]
+    floor = float(np.sqrt(np.mean((noise_floor * size * weight) ** 2)))
+    return Problem(s, y, weight, noise, floor, "covariance", noise_floor)
+
+
+def trial_at(problem: Problem, poles: np.ndarray, tail: int) -> Trial:
+    """The best that can be had with these poles where they are."""
+    cost = solve_residues(problem, poles, tail).cost
+    return Trial(poles, tail, cost, bic_of(problem, cost, order_of(poles), tail))
+
+
+def bic_of(problem: Problem, cost: float, n_poles: int, tail: int) -> float:
+    """N ln(misfit^2 + floor^2) + parameters ln N; a pole's place, sought over the whole band, counts threefold."""
+    n = 2 * problem.y.size
+    parameters = _SEARCHED * n_poles + ELEMENTS * (n_poles + tail)
+    return n * float(np.log(cost / n + problem.floor**2)) + parameters * float(np.log(n))
+
+
+def floor_cost(problem: Problem) -> float:
+    """Sum of squares of a misfit at the noise floor."""
+    return 2 * problem.y.size * problem.floor**2
+
+
+# Residues for given poles --------------------------------------------------------------------------------------------
+
+
+class Linear(NamedTuple):
+    """Residues for given poles: coefficients (4, c), misfit (4, 2n), and the factors Q (4, 2n, c), R, column norms."""
+
+    coefficients: np.ndarray
+    misfit: np.ndarray
+    q: np.ndarray
+    r: np.ndarray
+    norm: np.ndarray
+    cost: float
+
+
+def solve_residues(problem: Problem, poles: np.ndarray, tail: int) -> Linear:
+    """Residues, D and E that fit best with these poles: a least squares by QR, one for each element."""
+    phi = basis(problem.s, poles, tail)
+    columns = stacked(phi[None] * problem.weight[:, :, None])
+    norm = np.linalg.norm(columns, axis=1)
+    q, r = np.linalg.qr(columns / norm[:, None, :])
+    target = stacked((problem.y * problem.weight)[:, :, None])[:, :, 0]
+    projected = np.einsum("eij,ei->ej", q, target)
+    misfit = target - np.einsum("eij,ej->ei", q, projected)
+    coefficients = np.linalg.solve(_regular(r), projected[:, :, None])[:, :, 0] / norm
+    return Linear(coefficients, misfit, q, r, norm, float(np.sum(misfit**2)))
+
+
+def _regular(r: np.ndarray) -> np.ndarray:
+    """R with exact zeros on its diagonal lifted, so that coinciding poles do not raise."""
+    r = r.copy()
+    diagonal = np.einsum("eii->ei", r)
+    diagonal[np.abs(diagonal) < 1e-15] = 1e-15
+    return r
+
+
+def stacked(block: np.ndarray) -> np.ndarray:
+    """(4, n, c) complex to (4, 2n, c) real: real parts above imaginary parts."""
+    return np.concatenate([block.real, block.imag], axis=1)
+
+
+def datum_variance(problem: Problem, trial: Trial, linear: Linear) -> float:
+    """Variance of a weighted datum, from the misfit."""
+    freedom = linear.misfit.size - order_of(trial.poles) - linear.coefficients.size
+    return max(linear.cost / max(freedom, 1), (1e-3 * problem.floor) ** 2)
+
+
+def inverse_r(linear: Linear) -> np.ndarray:
+    """(4, c, c) whose products with their transposes are the coefficients' covariance for given poles."""
+    return np.linalg.inv(_regular(linear.r)) / linear.norm[:, :, None]
+
+
+def block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """(4, c, c) to (4c, 4c)."""
+    n, c = blocks.shape[:2]
+    full = np.zeros((n, c, n, c))
+    full[np.arange(n), :, np.arange(n), :] = blocks
+    return full.reshape(n * c, n * c)
+
+
+# Poles ---------------------------------------------------------------------------------------------------------------
+
+
+def refine(problem: Problem, trial: Trial, n_iterations: int = 10) -> Trial:
+    """Levenberg-Marquardt on the poles with the residues projected out (Kaufman's variable projection)."""
+    damping = 1e-6
+    linear = solve_residues(problem, trial.poles, trial.tail)
+    for _ in range(n_iterations):
+        if linear.cost < floor_cost(problem):
+            break
+        jacobian = projected_jacobian(problem, trial, linear)[0]
+        size = np.linalg.norm(jacobian, axis=0)
+        size[size == 0.0] = 1.0
+        u, singular, vt = np.linalg.svd(jacobian / size, full_matrices=False)
+        projected = u.T @ linear.misfit.ravel()
+        for _ in range(6):
+            step = vt.T @ (singular / (singular**2 + damping) * projected) / size
+            poles = _moved(trial.poles, step)
+            moved = solve_residues(problem, poles, trial.tail)
+            if moved.cost < linear.cost:
+                break
+            damping *= 30.0
+        else:
+            break
+        gain = linear.cost - moved.cost
+        trial, linear, damping = trial._replace(poles=poles), moved, max(damping / 30.0, 1e-12)
+        if gain < 1e-7 * linear.cost:
+            break
+    return trial._replace(cost=linear.cost, bic=bic_of(problem, linear.cost, order_of(trial.poles), trial.tail))
+
+
+def _moved(poles: np.ndarray, step: np.ndarray) -> np.ndarray:
+    n_real, n_pair = counts_upper(poles)
+    moved = poles + pairs_joined(step, n_real, n_pair)
+    return separated(np.where(poles.imag == 0.0, moved.real + 0j, moved))
+
+
+def projected_jacobian(problem: Problem, trial: Trial, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
+    """d(model)/d(pole parameters) outside the span of the basis (4 * 2n, t), and inside it, Q^T J (4, c, t)."""
+    n_real, n_pair = counts_upper(trial.poles)
+    x = linear.coefficients
+    m = n_real + 2 * n_pair
+    pair = x[:, n_real : n_real + n_pair] + 1j * x[:, n_real + n_pair : m]
+    upper = 1.0 / (problem.s[:, None] - trial.poles) ** 2
+    lower = 1.0 / (problem.s[:, None] - trial.poles[n_real:].conj()) ** 2
+    real = x[:, None, :n_real] * upper[None, :, :n_real]
+    up, low = pair[:, None] * upper[None, :, n_real:], pair.conj()[:, None] * lower[None]
+    full = stacked(np.concatenate([real, up + low, 1j * (up - low)], axis=2) * problem.weight[:, :, None])
+    inside = np.swapaxes(linear.q, 1, 2) @ full
+    return (full - linear.q @ inside).reshape(linear.misfit.size, m), inside

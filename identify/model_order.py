@@ -1,0 +1,155 @@
+"""How many poles the data ask for, and which of them are spurious (the rules of `fit`)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .folded import ELEMENTS
+from .least_squares import Problem, Trial, floor_cost, refine, solve_residues, trial_at
+from .partial_fractions import basis, order_of, upper_half
+from .rational import RationalModel
+from .vector_fit import vector_fit
+
+_FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
+_FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
+_OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
+
+
+def select_order(problem: Problem, max_order: int, start: RationalModel | None) -> Trial:
+    """Grow by a pair where the misfit is largest until two pairs in a row do not pay."""
+    poles = _first_poles(problem) if start is None else upper_half(start.poles)
+    tail = 1 if start is None else start.tail
+    best = trial = vector_fit(problem, poles, tail)
+    misses = 0
+    while misses < 2 and order_of(trial.poles) + 2 <= max_order and trial.cost > floor_cost(problem):
+        trial = vector_fit(problem, with_pair(problem, trial), tail)
+        misses = 0 if trial.bic < best.bic else misses + 1
+        best = min(best, trial, key=lambda t: t.bic)
+    return best
+
+
+def _first_poles(problem: Problem) -> np.ndarray:
+    """Three weakly damped pairs over the band and a real pole beyond its end."""
+    low, high = np.log10(max(abs(problem.s[0]), 1e-3 * abs(problem.s[-1]))), np.log10(abs(problem.s[-1]))
+    beta = np.logspace(low, high, 5)[1:4]
+    return np.concatenate([[-3.0 * abs(problem.s[-1]) + 0j], beta * (-0.1 + 1j)])
+
+
+def with_pair(problem: Problem, trial: Trial) -> np.ndarray:
+    """The trial's poles and a weakly damped pair at the frequency of the largest misfit."""
+    misfit = np.abs(solve_residues(problem, trial.poles, trial.tail).misfit)
+    n = len(problem.s)
+    by_line = np.sum(misfit[:, :n] ** 2 + misfit[:, n:] ** 2, axis=0)
+    beta = abs(problem.s[int(np.argmax(by_line))])
+    return np.append(trial.poles, beta * (-0.1 + 1j))
+
+
+# What is spurious ----------------------------------------------------------------------------------------------------
+
+
+def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple[str, ...]]:
+    """Leave out rows that ask for a pole of their own, narrower than the distance of the rows, and that pole."""
+    notes: tuple[str, ...] = ()
+    for _ in range(len(problem.s) // _OUTLIERS_PER_ROW):
+        tried = [_without_row(problem, trial, k) for k in _narrow(problem, trial.poles)]
+        found = [(p, t) for p, t, pays in tried if pays]
+        if not found:
+            break
+        kept, trial = min(found, key=lambda pt: pt[1].bic)
+        nu = np.setdiff1d(problem.s.imag, kept.s.imag)[0] / (2.0 * np.pi)
+        notes += (f"the row at |f - f1| = {nu:.4g} Hz does not agree with its neighbours and was left out of the fit",)
+        problem = kept
+    return problem, trial, notes
+
+
+def _narrow(problem: Problem, poles: np.ndarray) -> np.ndarray:
+    """Indices of pairs inside the band whose width is below the distance of the rows around them."""
+    w = problem.s.imag
+    above = np.clip(np.searchsorted(w, poles.imag), 1, len(w) - 1)
+    inside = (poles.imag >= w[0]) & (poles.imag <= w[-1])
+    return np.flatnonzero(inside & (np.abs(poles.real) < w[above] - w[above - 1]))
+
+
+def _without_row(problem: Problem, trial: Trial, k: int) -> tuple[Problem, Trial, bool]:
+    """Pole k and the row next to it left out; whether the other rows do not miss the pole, and the row stands apart."""
+    row = int(np.argmin(np.abs(problem.s.imag - trial.poles[k].imag)))
+    rest = problem._replace(
+        s=np.delete(problem.s, row),
+        y=np.delete(problem.y, row, axis=1),
+        weight=np.delete(problem.weight, row, axis=1),
+        noise=None if problem.noise is None else np.delete(problem.noise, row, axis=0),
+    )
+    with_pole = refine(rest, trial_at(rest, trial.poles, trial.tail))
+    without = refine(rest, trial_at(rest, np.delete(trial.poles, k), trial.tail))
+    coefficients = solve_residues(rest, without.poles, without.tail).coefficients
+    expected = coefficients @ basis(problem.s[row : row + 1], without.poles, without.tail)[0]
+    apart = np.linalg.norm(problem.y[:, row] - expected) > _FAINT * np.linalg.norm(problem.y[:, row])
+    return rest, without, bool(apart and without.bic < with_pole.bic)
+
+
+def prune(problem: Problem, trial: Trial) -> Trial:
+    """Take away, one by one, what the data do not pay for: a pole or pair, a tail term, a far pole for a slope."""
+    while True:
+        reduced = [trial_at(problem, poles, tail) for poles, tail in _reductions(problem, trial)]
+        if not reduced:
+            return trial
+        candidate = refine(problem, min(reduced, key=lambda t: t.bic))
+        if candidate.bic >= trial.bic:
+            return trial
+        trial = candidate
+
+
+def _reductions(problem: Problem, trial: Trial) -> list[tuple[np.ndarray, int]]:
+    n = len(trial.poles)
+    found = [(np.delete(trial.poles, k), trial.tail) for k in range(n)]
+    if trial.tail > 0 and n > 0:
+        found.append((trial.poles, trial.tail - 1))
+    far = np.flatnonzero(_is_far(problem, trial.poles) & (trial.tail == 1))
+    return found + [(np.delete(trial.poles, k), 2) for k in far]
+
+
+def drop_faint_instability(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
+    """Remove poles in the right half-plane that Y does not need to 1e-4: errors of the sweep ask for them."""
+    stable = trial
+    while np.any(stable.poles.real > 0.0):
+        kept = stable.poles[stable.poles.real <= 0.0]
+        stable = refine(problem, trial_at(problem, kept, trial.tail), n_iterations=30)
+    n_left_out = order_of(trial.poles) - order_of(stable.poles)
+    if n_left_out == 0 or _relative_misfit(problem, stable) > _FAINT:
+        return trial, ()
+    note = f"{n_left_out} faint poles, unstable ones among them, left out of the fit: it still matches Y to {_FAINT:g}"
+    return stable, (note,)
+
+
+def _relative_misfit(problem: Problem, trial: Trial) -> float:
+    """Root mean square misfit relative to ||Y||_F / 2 at each frequency, whatever the weights."""
+    n = len(problem.s)
+    misfit = solve_residues(problem, trial.poles, trial.tail).misfit
+    absolute = (misfit[:, :n] ** 2 + misfit[:, n:] ** 2) / problem.weight**2
+    size = np.sum(np.abs(problem.y) ** 2, axis=0) / ELEMENTS
+    return float(np.sqrt(np.mean(absolute / size) / 2.0))
+
+
+def settle_far_poles(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
+    """Mirror right-half-plane poles outside the band, or trade them for a slope, where the fit does not suffer."""
+    notes = []
+    for pole in trial.poles[_is_far(problem, trial.poles) & (trial.poles.real > 0.0)]:
+        k = int(np.argmin(np.abs(trial.poles - pole)))
+        mirrored = trial.poles.copy()
+        mirrored[k] = -pole.conjugate()
+        options = [refine(problem, trial_at(problem, mirrored, trial.tail))]
+        options.append(refine(problem, trial_at(problem, np.delete(trial.poles, k), 2)))
+        settled = [t for t in options if not np.any(_is_far(problem, t.poles) & (t.poles.real > 0.0))]
+        best = min(settled, key=lambda t: t.bic, default=trial)
+        if best is not trial and best.bic <= trial.bic + np.log(2 * problem.y.size):
+            trial = best
+            notes.append(
+                f"a pole fitted at {pole.real:+.3g} rad/s, outside the swept band, was taken as stable: "
+                "the data fit the stable one as well"
+            )
+    return trial, tuple(notes)
+
+
+def _is_far(problem: Problem, poles: np.ndarray) -> np.ndarray:
+    """(m,) bool: outside the swept band."""
+    return np.abs(poles) > _FAR * abs(problem.s[-1])

@@ -1,0 +1,189 @@
+"""A rational model of the 2x2 admittance in the dq frame: its values, its slopes and its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .folded import ELEMENTS
+from .frames import dq_to_pn
+from .partial_fractions import basis, counts, pairs_joined, parts
+
+
+class Rational(NamedTuple):
+    """Poles (m,), residues (m, 2, 2), D and E (2, 2) of a rational function, as in `RationalModel`."""
+
+    poles: np.ndarray
+    residues: np.ndarray
+    d: np.ndarray
+    e: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class RationalModel:
+    """Ydq(s) = sum_k R_k / (s - p_k) + D + s E, with real coefficients.
+
+    Attributes
+    ----------
+    f1_hz : float
+        Fundamental frequency (Hz).
+    poles : (m,) complex
+        In rad/s, dq frame: real ones first, then the upper halves of the pairs, then their conjugates.
+    residues : (m, 2, 2) complex
+        In S rad/s, same order as ``poles``.
+    d, e : (2, 2) float
+        Constant (S) and slope (S s); zero unless the data ask for them.
+    tail : 0, 1 or 2
+        How many of the two are there: none, the constant, both.
+    ranks : (m,) int
+        Rank of each residue: 1 where the second direction is below its own uncertainty.
+    bic : float
+        Bayesian information criterion of the chosen order.
+    residual : float
+        Weighted root mean square misfit: in standard deviations where ``weighting`` is "covariance",
+        else relative to ||Y||_F / 2 at each frequency.
+    noise_floor : float
+        Misfit below which a higher order no longer counts as better (relative).
+    weighting : "covariance" or "relative"
+        What the points were weighted with.
+    nu_hz : (n,) float
+        Frequencies that were fitted, |f - f1| (Hz).
+    weight : (n, 4) float
+        What dd, dq, qd, qq of every fitted row were weighted with (1/S).
+    covariance_root : (k, k) float
+        F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
+        poles have parameters of which only combinations are known: multiply F first, square then.
+    rival : Rational or None
+        The fit with one pair more, which the data do not pay for. None where it gains no more than noise would give.
+    rival_share : float
+        Which part of the difference to the rival is taken as one more error of the model, as a standard deviation.
+    pole_std : (m,) complex
+        Standard errors of the poles, real part + 1j imaginary part (rad/s).
+    notes : tuple of str
+        What was decided on the way: poles mirrored, poles whose sign the data leave open.
+    """
+
+    f1_hz: float
+    poles: np.ndarray
+    residues: np.ndarray
+    d: np.ndarray
+    e: np.ndarray
+    tail: int
+    ranks: np.ndarray
+    bic: float
+    residual: float
+    noise_floor: float
+    weighting: str
+    nu_hz: np.ndarray
+    weight: np.ndarray
+    covariance_root: np.ndarray
+    rival: Rational | None
+    rival_share: float
+    pole_std: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return len(self.poles)
+
+    @property
+    def n_unstable(self) -> int:
+        """Open-loop poles in the right half-plane, each counted with its rank."""
+        return int(np.sum(self.ranks[self.poles.real > 0.0]))
+
+
+def evaluate(model: RationalModel | Rational, s: np.ndarray) -> np.ndarray:
+    """Ydq (n, 2, 2) in S at complex frequencies ``s`` (n,) in rad/s, dq frame."""
+    s = np.atleast_1d(np.asarray(s, dtype=complex))
+    strictly_proper = (1.0 / (s[:, None] - model.poles)) @ model.residues.reshape(-1, ELEMENTS)
+    return strictly_proper.reshape(-1, 2, 2) + model.d + s[:, None, None] * model.e
+
+
+def derivative(model: RationalModel, s: complex) -> np.ndarray:
+    """dYdq/ds (2, 2) in S s at one complex frequency (rad/s)."""
+    return np.tensordot(-1.0 / (s - model.poles) ** 2, model.residues, axes=1) + model.e
+
+
+def evaluate_pn(model: RationalModel, f_hz: np.ndarray) -> np.ndarray:
+    """Ypn (n, 2, 2) in S at signed frequencies (n,) in Hz: Ypn(s) = T Ydq(s - j w1) T^-1."""
+    s = 2j * np.pi * (np.asarray(f_hz, dtype=float) - model.f1_hz)
+    return dq_to_pn(evaluate(model, s))
+
+
+def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Derivative of ``sum_ij weight_ij Ydq_ij(s)`` with respect to the real parameters, (n, k) complex.
+
+    ``s`` is (n,) in rad/s, ``weight`` (n, 2, 2). The parameters are: real poles, real parts of the pairs, imaginary
+    parts of the pairs; then for each element dd, dq, qd, qq its coefficients: real poles, Re and Im of the pairs'
+    residues, D and E if they are there.
+    """
+    n_real, n_pair = counts(model.poles)
+    slopes = np.einsum("nij,kij->nk", weight, model.residues) / (s[:, None] - model.poles) ** 2
+    upper, lower = slopes[:, n_real : n_real + n_pair], slopes[:, n_real + n_pair :]
+    rows = basis(s, model.poles[: n_real + n_pair], model.tail)
+    coefficients = weight.reshape(-1, ELEMENTS, 1) * rows[:, None, :]
+    by_pole = [slopes[:, :n_real], upper + lower, 1j * (upper - lower)]
+    return np.concatenate([*by_pole, coefficients.reshape(len(s), -1)], axis=1)
+
+
+def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
+    """What every fitted row contributes to the variance of ``g @ parameters``: (n,), adding up to one.
+
+    The noise is taken as the weights have it, uncorrelated between elements.
+    """
+    s = 2j * np.pi * model.nu_hz
+    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
+    slopes = np.stack([gradient(model, s, np.broadcast_to(u, (len(s), 2, 2))) for u in units], axis=1)
+    slopes = slopes * model.weight[:, :, None]
+    jacobian = np.concatenate([slopes.real, slopes.imag], axis=1).reshape(-1, len(g))
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    lever = np.linalg.lstsq((jacobian / size).T, g / size, rcond=1e-12)[0]
+    share = np.sum(lever.reshape(len(s), -1) ** 2, axis=1)
+    return share / np.sum(share)
+
+
+def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """What the independent errors of the fit, each of unit variance, do to ``sum_ij weight_ij Ydq_ij(s)``: (n, k + 1).
+
+    The covariance of such sums is that of the columns: ``spread @ spread.T`` for the real parts. ``s`` and ``weight``
+    are those of `gradient`. The last error is the difference to the rival.
+    """
+    by_noise = gradient(model, s, weight) @ model.covariance_root
+    if model.rival is None:
+        return np.append(by_noise, np.zeros((len(s), 1)), axis=1)
+    by_order = np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
+    return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
+
+
+def shifted(model: RationalModel, errors: np.ndarray) -> Rational:
+    """The model as it would be with the independent errors (k + 1,) of `spread`; equal to them to first order.
+
+    Poles move by a factor and residues with their poles: far outside the band only R/|p| is well known, not R and p.
+    """
+    change = model.covariance_root @ errors[:-1]
+    n_real, n_pair = counts(model.poles)
+    m = n_real + 2 * n_pair
+    upper = pairs_joined(change[:m], n_real, n_pair)
+    moved = np.concatenate([upper, upper[n_real:].conj()])
+    by_factor = np.abs(moved) < np.abs(model.poles)  # not a pole at zero
+    relative = np.where(by_factor, moved, 0.0) / np.where(by_factor, model.poles, 1.0)
+    residues, d, e = parts(n_real, n_pair, model.tail, change[m:].reshape(ELEMENTS, -1))
+    own = residues - model.residues * relative.real[:, None, None]
+    poles = np.where(by_factor, model.poles * np.exp(relative), model.poles + moved)
+    residues = (model.residues + own) * np.exp(relative.real)[:, None, None]
+    near = Rational(poles, residues, model.d + d, model.e + e)
+    return near if model.rival is None else _towards(near, model, model.rival, model.rival_share * float(errors[-1]))
+
+
+def _towards(near: Rational, model: RationalModel, rival: Rational, part: float) -> Rational:
+    """``near + part * (rival - model)``."""
+    return Rational(
+        np.concatenate([near.poles, model.poles, rival.poles]),
+        np.concatenate([near.residues, -part * model.residues, part * rival.residues]),
+        near.d + part * (rival.d - model.d),
+        near.e + part * (rival.e - model.e),
+    )
