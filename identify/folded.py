@@ -47,14 +47,14 @@ class DqData(NamedTuple):
 
 
 def to_dq(response: FrequencyResponse) -> DqData:
-    """Rows with status "ok" and finite values, in the dq frame at nu > 0; rows at f1 itself are left out.
+    """The response's `usable` rows, in the dq frame at nu > 0; rows at f1 itself are left out.
 
     Notes
     -----
     Rows at f and at 2 f1 - f fall onto the same nu. Measured by experiments of their own they are two measurements;
     computed from the same experiments they are one, written twice (mirror symmetry holds to rounding), and count once.
     """
-    usable = response.ok & np.isfinite(response.y).all(axis=(1, 2))
+    usable = response.usable
     y, nu_hz = response.y[usable], response.f_hz[usable]
     covariance = np.asarray(response.covariance)[usable]
     if response.frame == "pn":

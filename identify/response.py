@@ -78,6 +78,13 @@ class FrequencyResponse:
         return np.asarray(self.status) == "ok"
 
     @property
+    def usable(self) -> np.ndarray:
+        """(n,) bool: rows to learn from: finite, and "ok" or "noisy" with a covariance that says how noisy."""
+        known = np.isfinite(np.asarray(self.covariance)).all(axis=(1, 2))
+        noisy = (np.asarray(self.status) == "noisy") & known
+        return (self.ok | noisy) & np.isfinite(self.y).all(axis=(1, 2))
+
+    @property
     def f_mirror_hz(self) -> np.ndarray:
         """(n,) signed frequency 2 f1 - f of the second component (Hz); pn frame."""
         return 2.0 * self.f1_hz - self.f_hz

@@ -113,6 +113,22 @@ def test_failed_rows_are_counted_and_left_out() -> None:
     assert point.warnings[0] == "10 of 100 rows are not ok and were left out (failed 10)"
 
 
+def test_noisy_rows_count_for_what_their_covariance_says() -> None:
+    """Every row of the resonance is noisy: left out, they would leave the verdict undecided."""
+    rng = np.random.default_rng(5)
+    about = np.abs(np.abs(F_HZ - F1_HZ) - 26.0) < 12.0
+    y = on_grid(0.65e6).y
+    std = np.where(about, 0.02, 0.001)[:, None, None] * np.linalg.norm(y, axis=(1, 2))[:, None, None] / 2.0
+    y = y + std * (rng.normal(size=(*y.shape, 2)) @ [1.0, 1j]) * np.sqrt(0.5)
+    covariance = 0.5 * std**2 * np.eye(8)
+    status, reason = np.where(about, "noisy", "ok"), np.where(about, "2 %", "")
+    told = FrequencyResponse(F_HZ, y, F1_HZ, covariance=covariance, status=status, reason=reason, meta={"op_id": "a"})
+    point = tune_point(told, GRID)
+    assert point.verdict == "unstable"
+    assert f"{about.sum()} of 100 rows are noisier" in point.warnings[0]
+    assert tune_point(replace(told, covariance=None), GRID).verdict == "undecided"
+
+
 def test_operating_point_without_usable_rows_is_undecided_not_guessed() -> None:
     status = np.full(len(F_HZ), "not_settled")
     response = FrequencyResponse(F_HZ, np.full((100, 2, 2), np.nan), F1_HZ, status=status, meta={"op_id": "a"})

@@ -12,6 +12,7 @@ from ..identify.fit import MIN_POINTS, fit_response
 from ..identify.folded import to_dq
 from ..identify.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
+from ..identify.uncertainty import relative_uncertainty
 from .gain import gain_for_margin, predicted_crossing
 from .intervals import margin_interval, scale_interval
 from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
@@ -86,13 +87,13 @@ def tune_point(
     op_id = str(response.meta.get("op_id", ""))
     at = {**response.meta, "grid": swept_grid or response.meta.get("grid")}
     warnings = (*_row_warnings(response), *grid_warnings(at, bases, grid))
-    usable = int(np.sum(response.ok & np.isfinite(response.y).all(axis=(1, 2))))
+    usable = int(np.sum(response.usable))
     if usable < MIN_POINTS:
         reason = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
         return PointTuning(op_id, "undecided", reason, warnings=warnings)
     model = fit_response(response)
     misfit = relative_misfit(model, response)
-    if misfit > MAX_MISFIT:
+    if misfit > _acceptable_misfit(response):
         reason = f"no rational model describes the table: its median misfit is {misfit:.1%}"
         return PointTuning(op_id, "undecided", reason, model=model, warnings=warnings)
     return _judged(op_id, model, grid, margin, bases, (*warnings, *model.notes))
@@ -164,11 +165,22 @@ def _least_passive(model: RationalModel) -> tuple[float, float]:
 
 
 def _row_warnings(response: FrequencyResponse) -> tuple[str, ...]:
-    left_out = Counter(np.asarray(response.status)[~response.ok].tolist())
-    if not left_out:
-        return ()
-    text = ", ".join(f"{status} {count}" for status, count in sorted(left_out.items()))
-    return (f"{sum(left_out.values())} of {len(response)} rows are not ok and were left out ({text})",)
+    status = np.asarray(response.status)
+    left_out, noisy = Counter(status[~response.usable].tolist()), int(np.sum(response.usable & ~response.ok))
+    remarks = []
+    if left_out:
+        text = ", ".join(f"{status} {count}" for status, count in sorted(left_out.items()))
+        remarks.append(f"{left_out.total()} of {len(response)} rows are not ok and were left out ({text})")
+    if noisy:
+        remarks.append(f"{noisy} of {len(response)} rows are noisier than the sweep was to accept; they count for less")
+    return tuple(remarks)
+
+
+def _acceptable_misfit(response: FrequencyResponse) -> float:
+    """`MAX_MISFIT`, or twice what the rows themselves say of their errors."""
+    stated = relative_uncertainty(response)[response.usable]
+    stated = stated[np.isfinite(stated)]
+    return max(MAX_MISFIT, 2.0 * float(np.median(stated))) if len(stated) else MAX_MISFIT
 
 
 def _opened(table: Table | Sequence[FrequencyResponse]) -> tuple[Sequence[FrequencyResponse], Mapping[str, Any]]:
