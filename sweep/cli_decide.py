@@ -1,0 +1,106 @@
+"""Commands from a table to a decision: tune, verify, grid."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .cli_shared import (
+    NOT_ALL_OK,
+    CampaignFile,
+    Settings,
+    TableFile,
+    check_outputs,
+    planned_of,
+)
+
+
+def tune(
+    table: TableFile,
+    grid: Annotated[str, typer.Option(metavar="R+jX", help="Grid impedance in ohm at f1, such as 0.012+0.25j.")],
+    scale: Annotated[float, typer.Option(help="Multiplies the grid impedance.")] = 1.0,
+    margin: Annotated[float, typer.Option(help="Required magnitude margin m.")] = 1.4,
+    op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="TUNING.json", help="Write JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode, locus and poles: .png, .svg, .pdf.")] = None,
+    confirm: Annotated[bool, typer.Option("--confirm", help="Sweep again with damping and iterate k.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm.")] = os.cpu_count() or 1,
+) -> None:
+    """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
+    from ..identify.table import read_table
+    from ..tuning.result import format_table, write_json
+    from ..tuning.siso import parse_grid
+    from ..tuning.tune import tune as judge
+
+    check_outputs(output, plot)
+    content = read_table(table)
+    result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
+    if confirm:
+        from .confirm import confirm as confirm_gain
+
+        result = confirm_gain(
+            result, content.meta["configuration"], jobs=jobs, report=lambda text: typer.echo(text, err=True)
+        )
+    typer.echo(format_table(result, shutil.get_terminal_size((100, 24)).columns))
+    if output is not None:
+        write_json(result, output)
+    if plot is not None:
+        from ..tuning.plot import plot_result
+
+        plot_result(result, plot, result.worst.op_id)
+
+
+def verify(
+    tuning: Annotated[Path, typer.Argument(metavar="TUNING.json", help="What tune wrote.")],
+    table: Annotated[
+        Path | None, typer.Option(metavar="TABLE.parquet", help="Damping stops where this table says stable.")
+    ] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point; by default the worst.")] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="What happens; by default a step onto the tuned grid.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="VERIFY.json", help="Write JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Power, r(t), ...: .png, .svg or .pdf.")] = None,
+) -> None:
+    """The same device in time, with and without damping control."""
+    from .verify_job import VerifyJob, verified
+
+    check_outputs(output, plot)
+    width = shutil.get_terminal_size((100, 24)).columns
+    typer.echo(verified(VerifyJob(tuning, table, op, scenario, output, plot, width)))
+
+
+def grid(
+    campaign: CampaignFile,
+    signal_kind: Annotated[str, typer.Option("--signal", metavar="KIND", help="multisine or qrb.")] = "multisine",
+    amplitude_pu: Annotated[float, typer.Option(help="Peak of the current over the rated peak.")] = 0.02,
+    duration_s: Annotated[float, typer.Option(help="Length of the record (s).")] = 1.0,
+    op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="GRID.json", help="Write JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="R and X of every line: .png, .svg, .pdf.")] = None,
+    settings: Settings = None,
+) -> None:
+    """R + jX of the grid behind the PCC, identified while the plant runs on it."""
+    from ..plant.registry import PlantCard
+    from .grid_probe import make_probe, probe_grids, probe_in_a_child, to_json, write_json
+
+    check_outputs(output, plot)
+    planned, plant = planned_of(campaign, settings)
+    probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
+    if isinstance(plant, PlantCard):
+        seen = probe_in_a_child(planned, probe, op)
+    else:
+        seen = probe_grids(plant, planned, probe, op)
+    typer.echo(format_report(seen, probe, plant.f1_hz))
+    if output is not None:
+        write_json(to_json(seen, probe, planned), output)
+    if plot is not None and any(each.found for each in seen):
+        from .grid_plot import plot as draw
+
+        draw(seen, plot)
+    if any(each.reason for each in seen):
+        raise typer.Exit(NOT_ALL_OK)

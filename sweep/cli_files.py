@@ -1,0 +1,154 @@
+"""Commands that take and give files of other tools: identify, export, import, inject."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .cli_shared import (
+    NOT_ALL_OK,
+    CampaignFile,
+    Settings,
+    TableFile,
+    WrongInput,
+    check_folder,
+    check_new,
+    report_statuses,
+)
+
+
+def identify(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of them.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    manifest: Annotated[Path | None, typer.Option(metavar="FILE", help="What was injected (manifest.json).")] = None,
+    channels: Annotated[str, typer.Option(metavar="va=NAME,...", help="Which channel is which.")] = "",
+    direction: Annotated[str | None, typer.Option(metavar="load|generator", help="Of the recorded current.")] = None,
+    f1: Annotated[str, typer.Option(metavar="auto|HZ", help="Fundamental; auto: out of the data.")] = "auto",
+    sample_rate: Annotated[float | None, typer.Option(metavar="HZ", help="Overrules the files.")] = None,
+    rated_voltage_v: Annotated[float | None, typer.Option(metavar="V", help="Base, line-to-line RMS.")] = None,
+    rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Base.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+) -> None:
+    """Recordings of a perturbed device in, the same table out."""
+    from .identify_run import identify as identify_recordings
+    from .identify_run import request_of
+
+    check_new(output, force)
+    request = request_of(files, manifest, channels, direction, f1, sample_rate, (rated_voltage_v, rated_power_va), op)
+    outcome = identify_recordings(request, output, jobs=jobs, say=lambda text: typer.echo(text, err=True))
+    report_statuses(output, outcome.statuses)
+    if not outcome.all_ok:
+        raise typer.Exit(NOT_ALL_OK)
+
+
+def export_command(
+    table: TableFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The suffix decides the format.")],
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Only this operating point.")] = None,
+    frame: Annotated[str, typer.Option(help="pn or dq.")] = "pn",
+    z0: Annotated[float | None, typer.Option(metavar="OHM", help="Touchstone's reference; by default U^2/S.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a table for other tools: CSV, MATLAB (frd-ready) or Touchstone."""
+    from .exchange import export_table, format_of
+
+    if frame not in ("pn", "dq"):
+        raise WrongInput(f"--frame {frame!r}: known are pn and dq")
+    if z0 is not None and not z0 > 0.0:
+        raise WrongInput(f"--z0 {z0:g}: needed: a number above 0, in ohm")
+    found = format_of(output, kind)
+    check_new(output, force)
+    typer.echo(export_table(table, output, found, op, frame, z0))  # type: ignore[arg-type]
+
+
+def import_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or other text, .mat or Touchstone.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    frame: Annotated[str | None, typer.Option(help="pn or dq.")] = None,
+    direction: Annotated[str | None, typer.Option(help="load: current into the device; or generator.")] = None,
+    f1: Annotated[float | None, typer.Option(metavar="HZ", help="Fundamental frequency.")] = None,
+    quantity: Annotated[str | None, typer.Option(help="admittance or impedance.")] = None,
+    unit: Annotated[str | None, typer.Option(help="S, mS, ohm, pu, ...")] = None,
+    phase_unit: Annotated[str | None, typer.Option(help="deg or rad.")] = None,
+    frequency_unit: Annotated[str | None, typer.Option(help="Hz, kHz or rad/s.")] = None,
+    q_axis: Annotated[str | None, typer.Option(help="leading (default) or lagging the d axis.")] = None,
+    rated_voltage_v: Annotated[float | None, typer.Option(metavar="V", help="Rated line-to-line RMS.")] = None,
+    rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Rated apparent power.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
+    active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
+    terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
+    variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix in a .mat file.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+) -> None:
+    """Make a table of another tool's file. What the file does not say, an option must; nothing is assumed."""
+    from .exchange import format_of, import_file
+
+    given = {
+        "frame": frame,
+        "direction": direction,
+        "f1_hz": f1,
+        "quantity": quantity,
+        "unit": unit,
+        "phase_unit": phase_unit,
+        "frequency_unit": frequency_unit,
+        "q_axis": q_axis,
+        "rated_voltage_v": rated_voltage_v,
+        "rated_power_va": rated_power_va,
+        "op_id": op,
+        "active_power_mw": active_power_mw,
+        "terminal_voltage_pu": terminal_voltage_pu,
+        "variable": variable,
+    }
+    found = format_of(file, kind)
+    check_new(output, force)
+    typer.echo(import_file(file, output, found, given))
+
+
+def inject_command(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="A folder, made if it is not there.")],
+    kind: Annotated[str, typer.Option("--format", help="csv, comtrade, pscad or mat.")],
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Sample rate of the files.")] = 10_000.0,
+    quiet: Annotated[float, typer.Option(metavar="S", help="Silence at the start of a file.")] = 1.0,
+    settle: Annotated[float, typer.Option(metavar="S", help="Tones play so long before they are evaluated.")] = 1.0,
+    windows: Annotated[int, typer.Option(metavar="N", help="Coherent windows of an experiment.")] = 2,
+    longest: Annotated[float, typer.Option(metavar="S", help="Longest file; 0: one pair per file.")] = 60.0,
+    encoding: Annotated[str, typer.Option(help="Of COMTRADE: ASCII, BINARY, BINARY32 or FLOAT32.")] = "BINARY",
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point, where there are several.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over an earlier manifest and its files.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Write the perturbations as files, for PSCAD, RTDS, Simulink or a laboratory."""
+    from .config import load_config
+    from .inject import Timing, chosen, inject, planned
+    from .manifest_file import FILE_NAME
+    from .playback import SUFFIXES
+
+    if kind not in SUFFIXES:
+        raise WrongInput(f"--format {kind!r}: known are {', '.join(SUFFIXES)}")
+    if encoding not in ("ASCII", "BINARY", "BINARY32", "FLOAT32"):
+        raise WrongInput(f"--encoding {encoding!r}: known are ASCII, BINARY, BINARY32 and FLOAT32")
+    timing = Timing(rate, quiet, settle, windows, longest)
+    plan, plant = planned(load_config(campaign, settings or ()), timing)
+    condition = chosen(plan, op)
+    if output.exists() and not output.is_dir():
+        raise WrongInput(f"{output} is a file; name a folder")
+    if (output / FILE_NAME).exists() and not force:
+        raise WrongInput(f"{output / FILE_NAME} exists; --force writes over it")
+    check_folder(output)
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    output.mkdir(exist_ok=True)
+    written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
+    ends = {experiment.file: experiment.end_s for experiment in written.experiments}
+    typer.echo(
+        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {len(ends)} files, "
+        f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
+    )

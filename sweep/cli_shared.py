@@ -1,0 +1,78 @@
+"""What commands share: their arguments, exit statuses, and what is refused before anything is computed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ..plant.protocol import Plant
+    from ..plant.registry import PlantCard
+    from .plan import Plan
+
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
+"""Exit statuses: done; done, but some rows are not ok; the input is wrong; interrupted; the machine failed us."""
+
+CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign file.")]
+TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A table of this format.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="a.b=c", help="Replace a value of the campaign; repeatable.")
+]
+
+
+class WrongInput(ValueError):
+    """A call that cannot be carried out as given."""
+
+
+def planned_of(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant | PlantCard]:
+    from .config import load_config
+    from .isolate import plant_or_card
+    from .plan import make_plan
+
+    config = load_config(campaign, settings or ())
+    if config.plant.id == "external":
+        raise WrongInput(f"{campaign}: an external device cannot be driven from here; seqsweep inject writes files")
+    plant = plant_or_card(config)
+    planned = make_plan(config, plant)
+    for warning in planned.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    return planned, plant
+
+
+def check_outputs(output: Path | None, plot: Path | None) -> None:
+    """Refuse, before anything is computed, what could not be written in the end."""
+    if plot is not None and plot.suffix.lower() not in PLOT_SUFFIXES:
+        raise WrongInput(f"{plot}: the suffix decides the format of the plot; needed: {', '.join(PLOT_SUFFIXES)}")
+    for path in (output, plot):
+        if path is not None:
+            check_folder(path)
+
+
+def check_new(output: Path, force: bool) -> None:
+    """Refuse an output that is in the way of nothing, or of something that may stay."""
+    if output.is_dir():
+        raise WrongInput(f"{output} is a folder; name a file")
+    if output.exists() and not output.is_file():
+        raise WrongInput(f"{output} is no ordinary file; a file cannot take its place")
+    if output.exists() and not force:
+        raise WrongInput(f"{output} exists; --force replaces it")
+    check_folder(output)
+
+
+def report_statuses(output: Path, statuses: dict[str, int]) -> None:
+    """One line on stderr: rows by status, the most frequent first."""
+    counts = ", ".join(f"{n} {status}" for status, n in sorted(statuses.items(), key=lambda item: -item[1]))
+    typer.echo(f"{output}: {counts}", err=True)
+
+
+def check_folder(output: Path) -> None:
+    folder = output.absolute().parent
+    if not folder.is_dir():
+        raise WrongInput(f"{folder}: no such folder")
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(f"{folder}: no permission to write there")

@@ -1,0 +1,127 @@
+"""Commands from a campaign to a table: init, plan, run, show, validate, check."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .cli_shared import (
+    NOT_ALL_OK,
+    WRONG_INPUT,
+    CampaignFile,
+    Settings,
+    TableFile,
+    WrongInput,
+    check_folder,
+    check_new,
+    check_outputs,
+    planned_of,
+    report_statuses,
+)
+
+
+def init(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where to write it.")] = Path("campaign.toml"),
+) -> None:
+    """Write a commented campaign for the reference turbine."""
+    from importlib.resources import files
+
+    if output.exists():
+        raise WrongInput(f"{output} exists; choose another name with -o")
+    check_folder(output)
+    output.write_text(files("seqsweep.sweep").joinpath("campaign_template.toml").read_text("utf-8"), "utf-8")
+    typer.echo(f"{output} written; next: seqsweep run {output} -o y.parquet")
+
+
+def plan(campaign: CampaignFile, settings: Settings = None, jobs: int = os.cpu_count() or 1) -> None:
+    """Print every shot, the simulated seconds and the expected wall time; no shot is fired."""
+    from .plan_text import plan_text
+
+    planned, plant = planned_of(campaign, settings)
+    typer.echo(plan_text(planned, plant, jobs))
+
+
+def run(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
+    jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
+    backend: Annotated[
+        str | None, typer.Option(help="threading, loky or dask; by default what suits the plant.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A dask scheduler.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Sweep, and write the table. Interrupted, the same command goes on where it was."""
+    if backend not in (None, "threading", "loky", "dask"):
+        raise WrongInput(f"--backend {backend!r}: known are threading, loky and dask")
+    if scheduler is not None and backend != "dask":
+        raise WrongInput("--scheduler goes with --backend dask")
+    check_new(output, force)
+    planned, plant = planned_of(campaign, settings)
+    from .campaign import run as run_campaign
+    from .progress import progress
+
+    with progress() as report:
+        outcome = run_campaign(
+            planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, discard=force, report=report
+        )
+    report_statuses(output, outcome.statuses)
+    for remark in outcome.remarks:
+        typer.echo(remark, err=True)
+    if not outcome.all_ok:
+        raise typer.Exit(NOT_ALL_OK)
+
+
+def show(
+    table: TableFile,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode plot: .png, .svg or .pdf.")] = None,
+    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point to draw.")] = None,
+) -> None:
+    """Summarise a table, and draw its Bode plot."""
+    from .show import summary
+
+    if op is not None and plot is None:
+        raise WrongInput("--op names the operating point to draw: it goes with --plot FILE")
+    check_outputs(None, plot)
+    terminal = sys.stdout.isatty()
+    typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
+    if plot is not None:
+        from .plot import bode
+
+        drawn = bode(table, plot, op)
+        typer.echo(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")
+
+
+def validate(table: TableFile) -> None:
+    """Hold a table against the format; exit status 0 or 2."""
+    from ..identify.table import validate_table
+
+    violations = validate_table(table)
+    for violation in violations:
+        typer.echo(violation, err=True)
+    if violations:
+        raise typer.Exit(WRONG_INPUT)
+    typer.echo(f"{table}: conforms")
+
+
+def check(
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="A plant's id, a CAMPAIGN.toml, or a file to read.")],
+) -> None:
+    """Hold a plant against its promise; of a file (.fmu, .so, .dll, .py) say what it is, executing nothing."""
+    from .inspection import findings_of, findings_of_campaign, inspect, is_inspected
+
+    if is_inspected(plant):
+        typer.echo(inspect(Path(plant)))
+        return
+    findings = findings_of_campaign(Path(plant)) if plant.endswith(".toml") else findings_of(plant)
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings:
+        typer.echo(f"{'pass' if finding.passed else 'FAIL'}  {finding.name:<{width}}  {finding.detail}".rstrip())
+    if not all(finding.passed for finding in findings):
+        raise typer.Exit(NOT_ALL_OK)
