@@ -86,7 +86,7 @@ def grid(
 ) -> None:
     """R + jX of the grid behind the PCC, identified while the plant runs on it."""
     from ..plant.registry import PlantCard
-    from .grid_probe import make_probe, probe_grids, probe_in_a_child, to_json, write_json
+    from .grid_probe import format_report, make_probe, probe_grids, probe_in_a_child, to_json, write_json
 
     check_outputs(output, plot)
     planned, plant = planned_of(campaign, settings)
