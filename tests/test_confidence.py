@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from seqsweep.identify.fit import fit_response
 from seqsweep.identify.folded import to_dq
-from seqsweep.identify.rational import Rational, RationalModel, evaluate, evaluate_pn, gradient, row_shares, spread
+from seqsweep.identify.rational import evaluate, evaluate_pn, gradient, row_shares, spread
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.uncertainty import real_covariance, student_factor
 from seqsweep.plant.dpmsg_parameters import TABLE_I, TurbineParameters
@@ -361,11 +361,9 @@ def test_interval_near_a_fold_has_no_upper_end() -> None:
     model = fit_response(table(at.y, 1e-2, np.random.default_rng(1)))
 
     def dip(depth: float) -> Gain:
-        def gain(moved: RationalModel | Rational, nu_hz: np.ndarray) -> np.ndarray:
-            s = 2j * np.pi * nu_hz
-            return (
-                -1.0 + 1j * ((nu_hz - 26.0) ** 2 / 100.0 - depth) + (evaluate(moved, s) - evaluate(model, s))[:, 0, 0]
-            )
+        def gain(y_dq: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+            moved = y_dq - evaluate(model, 2j * np.pi * nu_hz)
+            return -1.0 + 1j * ((nu_hz - 26.0) ** 2 / 100.0 - depth) + moved[:, 0, 0]
 
         return gain
 
@@ -375,6 +373,24 @@ def test_interval_near_a_fold_has_no_upper_end() -> None:
     deep = interval_at(model, dip(0.25), 31.0, weight)
     assert deep.high is not None
     assert deep.high - 1.0 == pytest.approx(1.96 * deep.std, rel=0.25)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-6, 1e-5, 1e-4])
+def test_intervals_of_nearly_noise_free_tables_are_straight(level: float) -> None:
+    """What is known to 1e-4 or better bends nothing: 1.96 standard errors on either side."""
+    at = device()
+    assert at is not None
+    grid = at.edge.scaled(0.97)
+    response = table(at.y, level, np.random.default_rng(1)) if level else FrequencyResponse(F_HZ, at.y, F1_HZ)
+    model = fit_response(response)
+    crossing, edge = judge(model, grid).critical, critical_scale(model, grid)
+    assert crossing is not None
+    assert edge is not None
+    intervals = (crossing.m, margin_interval(model, grid, crossing)), (edge, scale_interval(model, grid, edge))
+    for value, (std, low, high) in intervals:
+        assert std < 1e-3
+        assert (value - low) / std == pytest.approx(1.96, rel=0.1)
+        assert (high - value) / std == pytest.approx(1.96, rel=0.1)
 
 
 def test_y1_s_errors_are_those_of_many_tables() -> None:
