@@ -159,12 +159,17 @@ def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarra
     return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
 
 
-def effect_of_errors(model: RationalModel, s: np.ndarray) -> np.ndarray:
-    """What the errors of `spread` do to Ydq(s), to first order: (n, 2, 2, k + 1), ``s`` (n,) in rad/s.
+def with_errors(model: RationalModel, s: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Ydq (..., n, 2, 2) in S with the errors (..., k + 1) of `spread`, to first order, at ``s`` (n,) in rad/s.
 
     Moving the parameters themselves would be worse: neighbouring poles, only combinations of which are known, would
     take Y, of second order, to where no row lets it be.
     """
     units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
-    by_element = [spread(model, s, np.broadcast_to(unit, (len(s), 2, 2))) for unit in units]
-    return np.stack(by_element, axis=1).reshape(len(s), 2, 2, -1)
+    slopes = np.stack([gradient(model, s, np.broadcast_to(unit, (len(s), 2, 2))) for unit in units], axis=1)
+    change = errors[..., :-1] @ model.covariance_root.T
+    y = evaluate(model, s)
+    moved = y + (change @ slopes.reshape(-1, slopes.shape[2]).T).reshape(*errors.shape[:-1], *y.shape)
+    if model.rival is None:
+        return moved
+    return moved + model.rival_share * errors[..., -1, None, None, None] * (evaluate(model.rival, s) - y)

@@ -9,12 +9,13 @@ the crossing, the admittance is drawn at random.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ..identify.frames import T_INVERSE, T, dq_to_pn
-from ..identify.rational import RationalModel, effect_of_errors, evaluate, evaluate_pn, spread
+from ..identify.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
 from .stability import Crossing
@@ -113,7 +114,7 @@ def interval_at(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarr
     if std <= model.noise_floor * middle:  # the fit itself is no better than that
         return Interval(std, middle - NORMAL_95 * std, middle + NORMAL_95 * std)
     step = NORMAL_95 * effect / std
-    ends = np.array([_followed(_moved(model, sign * step), gain, nu_hz) for sign in (-1.0, 1.0)])
+    ends = np.array([_followed(partial(_moved, model, sign * step), gain, nu_hz) for sign in (-1.0, 1.0)])
     expected = middle + np.array([-1.0, 1.0]) * NORMAL_95 * std
     if np.all(np.abs(ends - expected) <= _LINEAR * NORMAL_95 * std):
         return Interval(std, float(ends[0]), float(ends[1]))
@@ -127,14 +128,8 @@ def _value_and_slope(admittance: Admittance, gain: Gain, nu_hz: float) -> tuple[
     return complex(value), complex((above - below) / (2.0 * step)) if step > 0.0 else 0j
 
 
-def _moved(model: RationalModel, errors: np.ndarray) -> Admittance:
-    """Ydq as it would be with the independent errors (k + 1,) of the fit."""
-
-    def admittance(nu_hz: np.ndarray) -> np.ndarray:
-        s = 2j * np.pi * nu_hz
-        return evaluate(model, s) + effect_of_errors(model, s) @ errors
-
-    return admittance
+def _moved(model: RationalModel, errors: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+    return with_errors(model, 2j * np.pi * nu_hz, errors)
 
 
 def _followed(admittance: Admittance, gain: Gain, nu_hz: float) -> float:
@@ -156,9 +151,7 @@ def _drawn(model: RationalModel, gain: Gain, nu_hz: float, std: float) -> Interv
     """Quantiles over admittances drawn from the fit's distribution; one without a crossing counts as infinite."""
     normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1] + 1))
     nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED)
-    s = 2j * np.pi * nu
-    y, effect = evaluate(model, s), effect_of_errors(model, s)
-    found = [_smallest(gain(y + effect @ z, nu)) for z in normal]
+    found = [_smallest(gain(y, nu)) for y in _moved(model, normal, nu)]
     low, high = np.quantile(found, [0.025, 0.975], method="inverted_cdf")
     return Interval(std, float(low), float(high) if np.isfinite(high) else None)
 
