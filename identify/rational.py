@@ -9,7 +9,7 @@ import numpy as np
 
 from .folded import ELEMENTS
 from .frames import dq_to_pn
-from .partial_fractions import basis, counts, pairs_joined, parts
+from .partial_fractions import basis, counts
 
 
 class Rational(NamedTuple):
@@ -159,31 +159,17 @@ def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarra
     return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
 
 
-def shifted(model: RationalModel, errors: np.ndarray) -> Rational:
-    """The model as it would be with the independent errors (k + 1,) of `spread`; equal to them to first order.
+def with_errors(model: RationalModel, s: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Ydq (..., n, 2, 2) in S with the errors (..., k + 1) of `spread`, to first order, at ``s`` (n,) in rad/s.
 
-    Poles move by a factor and residues with their poles: far outside the band only R/|p| is well known, not R and p.
+    Moving the parameters themselves would be worse: neighbouring poles, only combinations of which are known, would
+    take Y, of second order, to where no row lets it be.
     """
-    change = model.covariance_root @ errors[:-1]
-    n_real, n_pair = counts(model.poles)
-    m = n_real + 2 * n_pair
-    upper = pairs_joined(change[:m], n_real, n_pair)
-    moved = np.concatenate([upper, upper[n_real:].conj()])
-    by_factor = np.abs(moved) < np.abs(model.poles)  # not a pole at zero
-    relative = np.where(by_factor, moved, 0.0) / np.where(by_factor, model.poles, 1.0)
-    residues, d, e = parts(n_real, n_pair, model.tail, change[m:].reshape(ELEMENTS, -1))
-    own = residues - model.residues * relative.real[:, None, None]
-    poles = np.where(by_factor, model.poles * np.exp(relative), model.poles + moved)
-    residues = (model.residues + own) * np.exp(relative.real)[:, None, None]
-    near = Rational(poles, residues, model.d + d, model.e + e)
-    return near if model.rival is None else _towards(near, model, model.rival, model.rival_share * float(errors[-1]))
-
-
-def _towards(near: Rational, model: RationalModel, rival: Rational, part: float) -> Rational:
-    """``near + part * (rival - model)``."""
-    return Rational(
-        np.concatenate([near.poles, model.poles, rival.poles]),
-        np.concatenate([near.residues, -part * model.residues, part * rival.residues]),
-        near.d + part * (rival.d - model.d),
-        near.e + part * (rival.e - model.e),
-    )
+    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
+    slopes = np.stack([gradient(model, s, np.broadcast_to(unit, (len(s), 2, 2))) for unit in units], axis=1)
+    change = errors[..., :-1] @ model.covariance_root.T
+    y = evaluate(model, s)
+    moved = y + (change @ slopes.reshape(-1, slopes.shape[2]).T).reshape(*errors.shape[:-1], *y.shape)
+    if model.rival is None:
+        return moved
+    return moved + model.rival_share * errors[..., -1, None, None, None] * (evaluate(model.rival, s) - y)

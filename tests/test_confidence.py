@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from seqsweep.identify.fit import fit_response
 from seqsweep.identify.folded import to_dq
-from seqsweep.identify.rational import Rational, RationalModel, evaluate, evaluate_pn, gradient, row_shares, spread
+from seqsweep.identify.rational import evaluate, evaluate_pn, gradient, row_shares, spread
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.uncertainty import real_covariance, student_factor
 from seqsweep.plant.dpmsg_parameters import TABLE_I, TurbineParameters
@@ -246,11 +246,11 @@ class Rates(NamedTuple):
     bode_wrong: float
 
 
-def verdict_rates(n_devices: int, level: float, distances: tuple[float, ...], seed: int) -> dict[float, Rates]:
+def verdict_rates(some: list[Device], level: float, distances: tuple[float, ...], seed: int) -> dict[float, Rates]:
     """Rates by the distance of the critical scale from the grid's; every device once on either side."""
     rng = np.random.default_rng(seed)
     found: dict[float, list[list[bool]]] = {distance: [] for distance in distances}
-    for at in devices(n_devices, seed):
+    for at in some:
         response = table(at.y, level, rng)
         model = fit_response(response)
         for distance in distances:
@@ -267,8 +267,9 @@ def verdict_rates(n_devices: int, level: float, distances: tuple[float, ...], se
 @pytest.mark.evidence
 def test_verdicts_near_the_edge_are_rarely_wrong_and_not_often_withheld() -> None:
     distances = (0.003, 0.01, 0.03, 0.1)
+    some = devices(120, 31)
     for level in (0.0, 1e-3, 1e-2, 3e-2):
-        for distance, rates in verdict_rates(250, level, distances, 31).items():
+        for distance, rates in verdict_rates(some, level, distances, 31).items():
             print(
                 f"noise {level:.1%}, edge {distance:.1%} away: wrong {rates.wrong:.1%}, undecided "
                 f"{rates.undecided:.1%}; plots of the rows wrong: Nyquist {rates.nyquist_wrong:.1%}, "
@@ -279,7 +280,7 @@ def test_verdicts_near_the_edge_are_rarely_wrong_and_not_often_withheld() -> Non
 
 def test_verdict_is_withheld_near_the_edge_and_given_away_from_it() -> None:
     """3 % of noise: with the edge 0.3 % away nobody can know, 10 % away everybody should."""
-    rates = verdict_rates(12, 3e-2, (0.003, 0.1), 5)
+    rates = verdict_rates(devices(12, 5), 3e-2, (0.003, 0.1), 5)
     assert rates[0.003].wrong <= 1 / 24
     assert rates[0.003].undecided > 0.5
     assert rates[0.1].wrong == 0.0
@@ -361,11 +362,9 @@ def test_interval_near_a_fold_has_no_upper_end() -> None:
     model = fit_response(table(at.y, 1e-2, np.random.default_rng(1)))
 
     def dip(depth: float) -> Gain:
-        def gain(moved: RationalModel | Rational, nu_hz: np.ndarray) -> np.ndarray:
-            s = 2j * np.pi * nu_hz
-            return (
-                -1.0 + 1j * ((nu_hz - 26.0) ** 2 / 100.0 - depth) + (evaluate(moved, s) - evaluate(model, s))[:, 0, 0]
-            )
+        def gain(y_dq: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+            moved = y_dq - evaluate(model, 2j * np.pi * nu_hz)
+            return -1.0 + 1j * ((nu_hz - 26.0) ** 2 / 100.0 - depth) + moved[:, 0, 0]
 
         return gain
 
@@ -375,6 +374,24 @@ def test_interval_near_a_fold_has_no_upper_end() -> None:
     deep = interval_at(model, dip(0.25), 31.0, weight)
     assert deep.high is not None
     assert deep.high - 1.0 == pytest.approx(1.96 * deep.std, rel=0.25)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-6, 1e-5, 1e-4])
+def test_intervals_of_nearly_noise_free_tables_are_straight(level: float) -> None:
+    """What is known to 1e-4 or better bends nothing: 1.96 standard errors on either side."""
+    at = device()
+    assert at is not None
+    grid = at.edge.scaled(0.97)
+    response = table(at.y, level, np.random.default_rng(1)) if level else FrequencyResponse(F_HZ, at.y, F1_HZ)
+    model = fit_response(response)
+    crossing, edge = judge(model, grid).critical, critical_scale(model, grid)
+    assert crossing is not None
+    assert edge is not None
+    intervals = (crossing.m, margin_interval(model, grid, crossing)), (edge, scale_interval(model, grid, edge))
+    for value, (std, low, high) in intervals:
+        assert std < 1e-3
+        assert (value - low) / std == pytest.approx(1.96, rel=0.1)
+        assert (high - value) / std == pytest.approx(1.96, rel=0.1)
 
 
 def test_y1_s_errors_are_those_of_many_tables() -> None:

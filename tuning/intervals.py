@@ -2,19 +2,20 @@
 
 Both are ``-1/q`` where a loop gain q, moving along frequency, is real and negative: Y1 Zg1 for m, an eigenvalue of Y Z
 for the critical scale. When the parameters move, q moves and so does the frequency at which it is real (delta method).
-The same is done at the two ends of the interval without linearising; where that does not agree, as near a fold of the
-crossing, the fitted model is drawn at random.
+The same is done at the two ends of the interval, following the crossing; where that does not agree, as near a fold of
+the crossing, the admittance is drawn at random.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ..identify.frames import T_INVERSE, T, dq_to_pn
-from ..identify.rational import Rational, RationalModel, evaluate, evaluate_pn, shifted, spread
+from ..identify.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
 from .stability import Crossing
@@ -24,10 +25,11 @@ NORMAL_95 = 1.959964
 
 _LINEAR = 0.25  # ends may differ from the delta method's by this part of the half width
 _DRAWS = 400
-_SEARCHED = 400  # frequencies at which a drawn model is looked at
+_SEARCHED = 400  # frequencies at which a drawn admittance is looked at
 _STEP = 1e-5  # relative step of the derivative along frequency
 
-Gain = Callable[[RationalModel | Rational, np.ndarray], np.ndarray]
+Admittance = Callable[[np.ndarray], np.ndarray]
+Gain = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Interval(NamedTuple):
@@ -51,10 +53,9 @@ def margin_interval(model: RationalModel, grid: Grid, crossing: Crossing) -> Int
     f = np.array([crossing.f_hz])
     weight = (_effect_on_y1(model, grid, f) * impedance_pn(grid, f)[0])[0]
 
-    def gain(moved: RationalModel | Rational, nu_hz: np.ndarray) -> np.ndarray:
-        at = nu_hz + model.f1_hz
-        y = dq_to_pn(evaluate(moved, 2j * np.pi * nu_hz))
-        return siso(at, y, grid).y1 * impedance_pn(grid, at)[0]
+    def gain(y_dq: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+        f = nu_hz + model.f1_hz
+        return siso(f, dq_to_pn(y_dq), grid).y1 * impedance_pn(grid, f)[0]
 
     return interval_at(model, gain, crossing.f_hz - model.f1_hz, weight)
 
@@ -90,11 +91,10 @@ def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
     left = np.linalg.inv(right)[k]
     weight = np.outer(left, z @ right[:, k])
 
-    def gain(moved: RationalModel | Rational, nu_hz: np.ndarray) -> np.ndarray:
-        s = 2j * np.pi * nu_hz
-        both = np.linalg.eigvals(evaluate(moved, s) @ impedance_dq(grid, s))
+    def gain(y_dq: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+        both = np.linalg.eigvals(y_dq @ impedance_dq(grid, 2j * np.pi * nu_hz))
         nearest = np.argmin(np.abs(both + 1.0 / scale), axis=1)
-        return both[np.arange(len(s)), nearest]
+        return both[np.arange(len(nu_hz)), nearest]
 
     return interval_at(model, gain, nu, weight)
 
@@ -102,50 +102,56 @@ def scale_interval(model: RationalModel, grid: Grid, scale: float) -> Interval:
 def interval_at(model: RationalModel, gain: Gain, nu_hz: float, weight: np.ndarray) -> Interval:
     """Interval of -1/q at the frequency ``nu_hz`` (Hz, dq) where q is real and negative.
 
-    ``gain`` gives q (n,) of a model at frequencies (n,) in Hz, dq; ``weight`` (2, 2) is dq/dYdq at ``nu_hz`` (ohm).
+    ``gain`` gives q (n,) of Ydq (n, 2, 2) at frequencies (n,) in Hz, dq; ``weight`` (2, 2) is dq/dYdq at ``nu_hz``
+    (ohm).
     """
-    value, slope = _value_and_slope(model, gain, nu_hz)
+    value, slope = _value_and_slope(lambda nu: evaluate(model, 2j * np.pi * nu), gain, nu_hz)
     errors = spread(model, np.array([2j * np.pi * nu_hz]), weight[None])[0]
     along = slope.real / slope.imag if slope.imag != 0.0 else 0.0  # at nu = 0 q is real whatever the parameters
     effect = (errors.real - along * errors.imag) / value.real**2
     std = float(np.linalg.norm(effect))
     middle = -1.0 / value.real
-    if std <= 1e-9 * middle:
+    if std <= model.noise_floor * middle:  # the fit itself is no better than that
         return Interval(std, middle - NORMAL_95 * std, middle + NORMAL_95 * std)
     step = NORMAL_95 * effect / std
-    ends = np.array([_followed(shifted(model, sign * step), gain, nu_hz) for sign in (-1.0, 1.0)])
+    ends = np.array([_followed(partial(_moved, model, sign * step), gain, nu_hz) for sign in (-1.0, 1.0)])
     expected = middle + np.array([-1.0, 1.0]) * NORMAL_95 * std
     if np.all(np.abs(ends - expected) <= _LINEAR * NORMAL_95 * std):
         return Interval(std, float(ends[0]), float(ends[1]))
     return _drawn(model, gain, nu_hz, std)
 
 
-def _value_and_slope(model: RationalModel | Rational, gain: Gain, nu_hz: float) -> tuple[complex, complex]:
+def _value_and_slope(admittance: Admittance, gain: Gain, nu_hz: float) -> tuple[complex, complex]:
     step = _STEP * nu_hz
-    below, value, above = gain(model, nu_hz + np.array([-step, 0.0, step]))
+    nu = nu_hz + np.array([-step, 0.0, step])
+    below, value, above = gain(admittance(nu), nu)
     return complex(value), complex((above - below) / (2.0 * step)) if step > 0.0 else 0j
 
 
-def _followed(model: Rational, gain: Gain, nu_hz: float) -> float:
+def _moved(model: RationalModel, errors: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+    return with_errors(model, 2j * np.pi * nu_hz, errors)
+
+
+def _followed(admittance: Admittance, gain: Gain, nu_hz: float) -> float:
     """-1/q at the crossing that Newton's method finds from ``nu_hz``; NaN if it finds none nearby."""
     at = nu_hz
     for _ in range(8):
-        value, slope = _value_and_slope(model, gain, at)
+        value, slope = _value_and_slope(admittance, gain, at)
         if slope.imag == 0.0 or abs(value.imag) < 1e-9 * abs(value):
             break
         at -= value.imag / slope.imag
         if not 0.5 * nu_hz < at < 2.0 * nu_hz:
             return float("nan")
-    value = complex(gain(model, np.array([at]))[0])
+    value = complex(gain(admittance(np.array([at])), np.array([at]))[0])
     real = abs(value.imag) < 1e-6 * abs(value) and value.real < 0.0
     return -1.0 / value.real if real else float("nan")
 
 
 def _drawn(model: RationalModel, gain: Gain, nu_hz: float, std: float) -> Interval:
-    """Quantiles over models drawn from the fit's distribution; one without a crossing counts as infinite."""
+    """Quantiles over admittances drawn from the fit's distribution; one without a crossing counts as infinite."""
     normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1] + 1))
     nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED)
-    found = [_smallest(gain(shifted(model, z), nu)) for z in normal]
+    found = [_smallest(gain(y, nu)) for y in _moved(model, normal, nu)]
     low, high = np.quantile(found, [0.025, 0.975], method="inverted_cdf")
     return Interval(std, float(low), float(high) if np.isfinite(high) else None)
 
