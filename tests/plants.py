@@ -164,8 +164,8 @@ class Noisy:
 
     run_phasors = None
 
-    def __init__(self, level: float = 1e-3, corner_hz: float = 300.0, seed: int = 0):
-        super().__init__(dt_s=200e-6)  # the branch is exact at any step, and noise costs by the sample
+    def __init__(self, level: float = 1e-3, corner_hz: float = 300.0, seed: int = 0, dt_s: float = 50e-6):
+        super().__init__(dt_s=dt_s)
         self.level, self.pole, self.seed = level, float(np.exp(-2.0 * np.pi * corner_hz * self.dt_s)), seed
 
     def run(self, jobs, n_steps):
@@ -318,8 +318,8 @@ class SampledState(NamedTuple):
 class NoisyBentBranch(NoisyBranch):
     """Noise and a saturation: small tones drown, large ones are bent."""
 
-    def __init__(self, level: float = 1e-3, limit_pu: float = 4e-3, seed: int = 0):
-        super().__init__(level, seed=seed)
+    def __init__(self, level: float = 1e-3, limit_pu: float = 4e-3, seed: int = 0, dt_s: float = 200e-6):
+        super().__init__(level, seed=seed, dt_s=dt_s)
         self.bend = BentBranch("saturation", limit_pu)
 
     def heard(self, job, record):

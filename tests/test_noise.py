@@ -15,6 +15,9 @@ from .sweeps import errors, inside, planned, rows_of
 
 F_HZ = [20.0, 70.0, 100.0, 130.0, 300.0]  # 100 and 300 Hz are harmonics of f1: the baseline's own noise counts there
 
+STEP_S = 200e-6
+"""The branch is exact at any step, and noise costs by the sample."""
+
 LEVELS = ((1e-4, 0.005), (1e-3, 0.01), (1e-2, 0.02), (3e-2, 0.05))
 """Noise (rms over rated peak) and the amplitude (pu) that goes with it."""
 
@@ -23,7 +26,7 @@ def coverage(level, amplitude_pu, n_trials, first_seed=0):
     """Share of elements inside their 95 % regions, and the median relative standard error."""
     found, residuals = [], []
     for seed in range(first_seed, first_seed + n_trials):
-        plant = plants.NoisyBranch(level, seed=seed)
+        plant = plants.NoisyBranch(level, seed=seed, dt_s=STEP_S)
         sweep = {"probes": 0, "uncertainty": 0.1}
         rows = rows_of(plant, planned(plant, f_hz=F_HZ, sweep=sweep, injection={"amplitude_pu": amplitude_pu}))
         assert {row.status for row in rows} == {"ok"}
@@ -47,7 +50,7 @@ def test_regions_of_noisy_rows_over_2000_trials(level, amplitude_pu):
 
 
 def test_what_is_asked_of_a_noisy_row_is_reached_or_said():
-    plant = plants.NoisyBranch(1e-2)
+    plant = plants.NoisyBranch(1e-2, dt_s=STEP_S)
     loose, tight = (
         rows_of(
             plant,
