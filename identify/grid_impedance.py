@@ -209,6 +209,10 @@ def grid_impedance(v: np.ndarray, i_grid: np.ndarray, dt_s: float, f1_hz: float,
     w, current = 2.0 * np.pi * lines.f_hz[at], np.abs(lines.i[at]) ** 2
     misfit, p_value = _judge(lines, fit)
     r_std, l_std = (_standard_error(lines, neighbours, fit.noise, scale) for scale in (np.ones(len(w)), w))
+    if p_value < UNLIKELY:  # what noise does not explain (a step's warping, another circuit) is an error as well
+        w1 = 2.0 * np.pi * f1_hz
+        unexplained = misfit * np.hypot(fit.r_ohm, w1 * fit.l_h)
+        r_std, l_std = float(np.hypot(r_std, unexplained)), float(np.hypot(l_std, unexplained / w1))
     return GridImpedance(
         f1_hz=f1_hz,
         r_ohm=fit.r_ohm,

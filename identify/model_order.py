@@ -115,9 +115,10 @@ def drop_faint_instability(problem: Problem, trial: Trial) -> tuple[Trial, tuple
         kept = stable.poles[stable.poles.real <= 0.0]
         stable = refine(problem, trial_at(problem, kept, trial.tail), n_iterations=30)
     n_left_out = order_of(trial.poles) - order_of(stable.poles)
-    if n_left_out == 0 or _relative_misfit(problem, stable) > _FAINT:
+    misfit = _relative_misfit(problem, stable)
+    if n_left_out == 0 or misfit > _FAINT:
         return trial, ()
-    note = f"{n_left_out} faint poles, unstable ones among them, left out of the fit: it still matches Y to {_FAINT:g}"
+    note = f"{n_left_out} faint poles, unstable ones among them, left out of the fit: it matches Y to {misfit:.1g}"
     return stable, (note,)
 
 

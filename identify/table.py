@@ -39,6 +39,8 @@ N_COV = len(UPPER[0])
 # Rows are regrouped to this size whatever the caller's portions, so that they leave no trace in the bytes.
 ROW_GROUP_ROWS = 8192
 
+_HOW = "another tool's file becomes a table by `seqsweep import`, a recording by `seqsweep identify`"
+
 _REQUIRED = {"f1_hz", "bases", "power_meaning", "operating_points", "configuration", "plant"}
 _FIXED = {"format": FORMAT, "version": VERSION, "frame": "pn", "mirror": MIRROR, "direction": DIRECTION}
 _BASES = {"rated_voltage_v", "rated_power_va"}
@@ -455,7 +457,7 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, dict[str, Any]]]:
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: not a Parquet file, or a truncated one ({_line(error)})") from error
+        raise TableError(f"{path}: not a Parquet file, or a truncated one ({_line(error)}); {_HOW}") from error
     with file:
         meta = _metadata(path, file)
         try:
@@ -473,7 +475,9 @@ def _metadata(path: str | Path, file: Any) -> dict[str, Any]:
     """Parse the metadata of an open Parquet file, and see that this code can read it."""
     text = (file.metadata.metadata or {}).get(METADATA_KEY)
     if text is None:
-        raise TableError(f"{path}: Parquet, but not a table of seqsweep (no metadata key {METADATA_KEY.decode()!r})")
+        raise TableError(
+            f"{path}: Parquet, but not a table of seqsweep (no metadata key {METADATA_KEY.decode()!r}); {_HOW}"
+        )
     try:
         meta = json.loads(text)
     except ValueError as error:

@@ -30,6 +30,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+GO_ON = "run the same command again to go on"
+
 _COMMANDS: dict[str, Callable[..., None]] = {
     "init": cli_sweep.init,
     "plan": cli_sweep.plan,
@@ -96,7 +98,7 @@ def _status() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
-        typer.echo(f"{error}; what was measured is kept: run the same command again to go on", err=True)
+        typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if _resumes() else ''}", err=True)
         return MACHINE
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
         return _interrupted()
@@ -104,5 +106,10 @@ def _status() -> int:
 
 
 def _interrupted() -> int:
-    typer.echo("interrupted; run the same command again to go on", err=True)
+    typer.echo(f"interrupted{'; ' + GO_ON if _resumes() else ''}", err=True)
     return INTERRUPTED
+
+
+def _resumes() -> bool:
+    """Whether the command keeps what it has measured: `run` alone does."""
+    return sys.argv[1:2] == ["run"]

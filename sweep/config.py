@@ -226,9 +226,8 @@ def _read(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
-        raise ConfigError(
-            [f"{path}: no such file; `seqsweep init -o {path}` writes a campaign to start from"]
-        ) from None
+        way_out = f"; `seqsweep init -o {path}` writes a campaign to start from" if path.parent.is_dir() else ""
+        raise ConfigError([f"{path}: no such file{way_out}"]) from None
     except IsADirectoryError:
         raise ConfigError([f"{path}: is a folder; name a campaign file in it"]) from None
     except UnicodeDecodeError as error:

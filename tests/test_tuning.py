@@ -21,7 +21,7 @@ from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
 from seqsweep.tuning.operating import grid_warnings, source_voltage_v
 from seqsweep.tuning.plot import bode_figure, locus_figure, plot_result, pole_figure
 from seqsweep.tuning.result import TuningResult, confirmed, format_table, schema, to_json, write_json
-from seqsweep.tuning.siso import Grid, siso
+from seqsweep.tuning.siso import Grid, parse_grid, siso
 from seqsweep.tuning.tune import tune, tune_point
 
 from . import oracle
@@ -99,6 +99,18 @@ def test_instability_the_formula_does_not_see_is_warned_about() -> None:
     point = tune_point(circuit(lambda s: 1.0 / (-0.05 + s * 1e-3)), GRID)
     assert point.verdict == "unstable"
     assert any("the formula for k does not see it" in w for w in point.warnings)
+
+
+@pytest.mark.parametrize("text", ["0.012+0.25j", "0.012 + j0.25", "0.012+J0.25", "0.012+0.25i", "12e-3+j2.5e-1"])
+def test_a_grid_is_read_as_it_is_printed_and_as_people_write_it(text: str) -> None:
+    grid = parse_grid(text, F1_HZ)
+    assert (grid.r_ohm, grid.x_ohm) == (0.012, 0.25)
+
+
+def test_a_grid_in_milliohm_is_asked_about() -> None:
+    bases = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
+    assert any("is that its unit?" in remark for remark in grid_warnings({}, bases, Grid(12.0, 250.0, F1_HZ)))
+    assert grid_warnings({}, bases, GRID) == ()
 
 
 # Tables that are not in order ----------------------------------------------------------------------------------------

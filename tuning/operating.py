@@ -16,6 +16,9 @@ from .siso import Grid
 SAME_GRID = 0.005
 """Relative difference of impedances up to which two grids count as one."""
 
+PLAUSIBLE_SCR = (0.3, 1000.0)
+"""Short-circuit ratios of grids that somebody connects a converter to."""
+
 SOURCE_TOLERANCE_PU = 0.07
 """The device's reactive power is not in the table: that much of source voltage is left open (pu)."""
 
@@ -34,8 +37,21 @@ def grid_warnings(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid
         The grid of the tuning.
     """
     swept = point.get("grid")
-    if swept:
-        return _against_swept_grid(swept, grid)
+    return (*_implausible(bases, grid), *(_against_swept_grid(swept, grid) if swept else _source(point, bases, grid)))
+
+
+def _implausible(bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
+    """A short-circuit ratio that no grid has, as when milliohm are taken for ohm."""
+    if not (bases.get("rated_voltage_v") and bases.get("rated_power_va")):
+        return ()
+    scr = bases["rated_voltage_v"] ** 2 / (bases["rated_power_va"] * grid.size_ohm)
+    if PLAUSIBLE_SCR[0] <= scr <= PLAUSIBLE_SCR[1]:
+        return ()
+    return (f"the grid's short-circuit ratio is {scr:.2g}: R + jX is in ohm at f1, is that its unit?",)
+
+
+def _source(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
+    """The source voltage that |v_pcc| of the table would take, where it is far from one."""
     voltage_pu, power_mw = point.get("terminal_voltage_pu"), point.get("active_power_mw")
     rated_v = bases.get("rated_voltage_v")
     if not (voltage_pu and rated_v) or power_mw is None:

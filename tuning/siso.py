@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -74,9 +75,10 @@ class Siso(NamedTuple):
 
 
 def parse_grid(text: str, f1_hz: float, scale: float = 1.0) -> Grid:
-    """Grid from text such as ``0.012+0.25j`` (ohm at f1), multiplied by ``scale``."""
+    """Grid from text such as ``0.012+0.25j`` or ``0.012 + j0.25`` (ohm at f1), multiplied by ``scale``."""
+    plain = text.replace(" ", "").replace("i", "j")
     try:
-        z = complex(text.replace(" ", "").replace("i", "j"))
+        z = complex(re.sub(r"j([\d.]+(?:e[+-]?\d+)?)$", r"\1j", plain, flags=re.IGNORECASE))
     except ValueError:
         raise ValueError(f"grid {text!r} is not R+jX in ohm at f1; write it as 0.012+0.25j") from None
     if not (np.isfinite(scale) and scale > 0.0):
