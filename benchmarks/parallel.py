@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
@@ -23,7 +23,7 @@ def measure(quick: bool) -> Report:
     found = [fresh(__file__, quick=quick) for _ in range(1 if quick else 2)]
     for name in found[0]:
         bar = {"sweep, 2 threads: simulation + extraction": 0.1}.get(name)
-        unit = "" if "efficiency" in name else "s"
+        unit = "" if "efficiency" in name or "ratio" in name else "s"
         report.add(name, median(run[name] for run in found), unit, bar)
     return report
 
@@ -39,9 +39,16 @@ def child(quick: bool) -> dict[str, float]:
     def sweep(map_: Callable[..., Any]) -> Callable[[], object]:
         return lambda: list(map_(lambda batch: measure_batch(plant, plan, batch), batches))
 
+    bare, _ = table_1_plan("sweep.tolerance=1e-4", "sweep.probes=0")
+    without_probes = list(bare.batches())
+
+    def unprobed() -> object:
+        return [measure_batch(plant, bare, batch) for batch in without_probes]
+
     with ThreadPoolExecutor(2) as pool, tempfile.TemporaryDirectory() as folder:
-        one, two = _in_turns((sweep(map), sweep(pool.map)), 5 if quick else 15)
+        one, two, fewer = _in_turns((sweep(map), sweep(pool.map), unprobed), 5 if quick else 15)
         found = {
+            "sweep: ratio of probed to unprobed": one / fewer,
             "sweep, 1 thread: simulation + extraction": one,
             "sweep, 2 threads: simulation + extraction": two,
             "sweep: efficiency": one / two / 2.0,
@@ -63,7 +70,7 @@ def child(quick: bool) -> dict[str, float]:
     }
 
 
-def _in_turns(functions: tuple[Callable[[], object], ...], repetitions: int) -> list[float]:
+def _in_turns(functions: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
     """Median time (s) of each, run one after the other, round by round; the first round is for warmth."""
     rounds = []
     for _ in range(1 + repetitions):
