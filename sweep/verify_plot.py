@@ -83,13 +83,15 @@ def verification_figure(result: Verification) -> Figure:
 
 def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:
     """P at the PCC (MW) until synchronism is lost, with a cross there."""
+    label = "synchronism lost"  # once in the legend, however many lose it
     for curve in curves:
         t, p = _until_lost(curve.trajectory, curve.trajectory.p_w / 1e6)
         axes.plot(t, p, label=curve.label, **curve.style)
         if curve.trajectory.lost_s is not None:
             where = axes.get_xaxis_transform()
             style: dict[str, Any] = {"color": "#a50f15", "marker": "x", "ls": "none", "ms": 7, "mew": 1.6, "zorder": 4}
-            axes.plot([curve.trajectory.lost_s], [0.08], transform=where, label="synchronism lost", **style)
+            axes.plot([curve.trajectory.lost_s], [0.08], transform=where, label=label, **style)
+            label = "_nolegend_"
     axes.set_ylabel("P (MW)")
     quiet(axes)
     without_spikes(axes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from seqsweep.sweep.verify import (
     tuned_of,
     verify,
 )
-from seqsweep.sweep.verify_plot import plot, resonance_current
+from seqsweep.sweep.verify_plot import plot, resonance_current, verification_figure
 from seqsweep.tuning.result import write_json
 from seqsweep.tuning.siso import Grid
 from seqsweep.tuning.tune import tune
@@ -159,6 +160,13 @@ def test_report_is_plain_json_and_text(result, tmp_path):
     assert max(map(len, text.splitlines())) <= 80
     plot(result, tmp_path / "verify.png")
     assert (tmp_path / "verify.png").stat().st_size > 20_000
+
+
+def test_synchronism_lost_twice_is_once_in_the_legend(result):
+    both = replace(result, damped=result.without)
+    axes = verification_figure(both).axes[0]
+    assert axes.get_legend_handles_labels()[1].count("synchronism lost") == 1
+    assert sum(line.get_marker() == "x" for line in axes.get_lines()) == 2
 
 
 def test_command_line_writes_everything_and_ends_with_zero(folder, tmp_path, monkeypatch, capsys):
