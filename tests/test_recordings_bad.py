@@ -227,6 +227,26 @@ def test_a_parquet_of_another_schema_is_refused_by_its_columns(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (
+            "va ia ib ic",
+            "of the voltage 'va' is there and 'vb' and 'vc' are missing among 'va', 'ia'.* va=NAME,vb=NAME",
+        ),
+        ("U_a U_c ia ib ic", "of the voltage 'U_a' and 'U_c' are there and 'U_b' is missing"),
+        ("U_L2 ia ib ic", "of the voltage 'U_L2' is there and 'U_L1' and 'U_L3' are missing"),
+        ("vab ia ib ic", "of the voltage 'vab' is there and 'vbc' and 'vca' are missing"),
+        ("va vb vc IB", "of the current 'IB' is there and 'IA' and 'IC' are missing .* --channels ia=NAME"),
+        ("vdc ia ib ic", "no voltage found among 'vdc'"),
+    ],
+)
+def test_a_phase_that_was_not_recorded_is_named(tmp_path, names, words):
+    columns = {name: np.cos(100.0 * np.pi * DT * np.arange(4000) + k) for k, name in enumerate(names.split())}
+    pq.write_table(pa.table({"time": DT * np.arange(4000), **columns}), tmp_path / "a.parquet")
+    refused(tmp_path / "a.parquet", words)
+
+
+@pytest.mark.parametrize(
     ("name", "words"),
     [
         ("none.cfg", "no such file"),

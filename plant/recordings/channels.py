@@ -46,6 +46,9 @@ _UNITS = {
     "ka": 1e3,
     "ma": 1e-3,
 }
+_DIRECT = re.compile(r"dc\W*$", re.IGNORECASE)
+"""Ends the name of a direct voltage or current, not of a phase c."""
+
 _AT_TERMINAL = re.compile(r"pcc|poc|poi|term|meas|wt(?![a-z])", re.IGNORECASE)
 
 
@@ -257,14 +260,46 @@ def _kind(channel: Channel) -> Kind | None:
 
 
 def _nothing(recording: Recording, kind: str) -> str:
-    """What to say where names and units lead nowhere: what physics sees, and how to go on."""
+    """What to say where names and units lead nowhere: what is there, or what physics sees, and how to go on."""
+    letter = kind[0].replace("c", "i")
+    option = f"--channels {letter}a=NAME,{letter}b=NAME,{letter}c=NAME"
+    among = f"among {names_of(recording.channels)}"
+    if words := _incomplete(recording.channels, kind):
+        return (
+            f"{recording.path}: {words} {among}; needed: three phases, or in a three-wire system two of them, a and b: "
+            f"record them, or name those that go by other names with {option}"
+        )
     triples = ["(" + ", ".join(recording.channels[k].name for k in each) + ")" for each in _balanced(recording)]
     seen = f"; by physics {' and '.join(triples[:4])} are three-phase systems" if triples else ""
-    letter = kind[0].replace("c", "i")
-    return (
-        f"{recording.path}: no {kind} found among {names_of(recording.channels)}{seen}: name it with --channels "
-        f"{letter}a=NAME,{letter}b=NAME,{letter}c=NAME"
-    )
+    return f"{recording.path}: no {kind} found {among}{seen}: name it with {option}"
+
+
+def _incomplete(channels: Sequence[Channel], kind: str) -> str:
+    """Which phases of a quantity are there and which are missing, by their names; empty where no name tells."""
+    mine = [channel for channel in channels if _kind(channel) == kind and not _DIRECT.search(channel.name)]
+    lines = _ALPHABETS["line_to_line"] if kind == "voltage" else ()
+    for alphabet in (*lines, *_ALPHABETS["phases"]):
+        letters = alphabet.split()
+        split = {channel.name: found for channel in mine if (found := _stem_and_phase(channel, letters)) and found[0]}
+        for name, (stem, letter) in split.items():
+            there = {other: phase for other, (of, phase) in split.items() if of == stem}
+            missing = [_renamed(name, letter, phase) for phase in letters if phase not in there.values()]
+            return f"of the {kind} {_listed(list(there))} there and {_listed(missing)} missing"
+    return ""
+
+
+def _renamed(name: str, letter: str, other: str) -> str:
+    """The name that another phase would have; the phase alone where the name does not end in it."""
+    end = len(re.sub(r"[\])}'\s]+$", "", name))
+    start = end - len(letter)
+    if name[start:end].lower() != letter:
+        return f"phase {other}"
+    return name[:start] + (other.upper() if name[start:end].isupper() else other) + name[end:]
+
+
+def _listed(names: Sequence[str]) -> str:
+    verb = "is" if len(names) == 1 else "are"
+    return f"{' and '.join(map(repr, names))} {verb}"
 
 
 def _balanced(recording: Recording) -> list[tuple[int, ...]]:
