@@ -276,8 +276,15 @@ def _loud_enough(y: np.ndarray, covariance: np.ndarray) -> tuple[str, str]:
         return "ok", ""
     return (
         "noisy",
-        f"the standard deviation of Y is {spread:.2g} of it, {NOISY:g} is the limit: record longer, or louder",
+        f"the standard deviation of Y is {_above(spread, NOISY)} of it, {NOISY:g} is the limit: record longer, or "
+        "louder",
     )
+
+
+def _above(value: float, limit: float) -> str:
+    """The value with two digits, or as many as show that it is above the limit."""
+    texts = [f"{value:.{digits}g}" for digits in range(2, 18)]
+    return next((text for text in texts if not float(text) <= limit), texts[-1])
 
 
 def _missing(group: list[Experiment]) -> str:

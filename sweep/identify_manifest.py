@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..plant.protocol import Rating, SourceDirection
-from .manifest_file import Experiment, PlayedTone, manifest_violations
+from .manifest_file import FILE_NAME, FORMAT, Experiment, PlayedTone, manifest_violations
 
 LIMIT_BYTES = 64 << 20
 
@@ -66,6 +66,11 @@ def read_manifest(path: Path) -> Told:
         content = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:
         raise ManifestError(f"{path}: not a JSON file ({error})") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ManifestError(
+            f'{path}: no seqsweep manifest (it does not say "format": "{FORMAT}"); `seqsweep inject` writes them, as '
+            f"{FILE_NAME}"
+        )
     if problems := manifest_violations(content):
         raise ManifestError(f"{path}: no manifest of this format: {'; '.join(problems[:8])}")
     rating = Rating(content["bases"]["rated_voltage_v"], content["bases"]["rated_power_va"])

@@ -23,6 +23,9 @@ from .identify_manifest import Told, match, read_manifest
 
 POWER_MEANING = "active power out of the device at the PCC, of the fundamental, as recorded"
 
+MOST_REFUSALS = 20
+"""Reasons that an error lists where no recording could be used."""
+
 Say = Callable[[str], None]
 
 
@@ -139,13 +142,11 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     for word in words:
         say(word)
     results = _listen_all(tasks, jobs)
-    for result in results:
-        _tell(result, say)
+    _check_any_heard(results)
+    for word in dict.fromkeys(word for result in results for word in _words(result)):
+        say(word)
     experiments = [experiment for result in results for experiment in result.experiments]
     seen = [each for result in results for each in result.fundamentals]
-    if not seen:
-        refusals = [f"{result.name}: {result.refusal}" for result in results if result.refusal]
-        raise IdentifyError("no recording could be used:\n" + "\n".join(refusals[:20]))
     f1_hz = _f1_of_table(seen, experiments, manifest)
     points = _completed(points_of(experiments, f1_hz), manifest, experiments)
     points = _joined(points, broadband_points([r.broadband for r in results if r.broadband], f1_hz))
@@ -211,12 +212,20 @@ def _listen_all(tasks: Sequence[Task], jobs: int) -> list[Listened]:
     return list(Parallel(n_jobs=min(jobs, len(tasks)))(delayed(listen)(task) for task in tasks))
 
 
-def _tell(result: Listened, say: Say) -> None:
-    if result.refusal is not None:
-        say(f"{result.name}: left out: {result.refusal}")
+def _check_any_heard(results: Sequence[Listened]) -> None:
+    """Refuse where every recording was left out: the error then has the reasons, each once."""
+    if any(result.fundamentals for result in results):
         return
-    for note in result.notes:
-        say(f"{result.name}: {note}")
+    refusals = list(dict.fromkeys(f"{result.name}: {result.refusal}" for result in results))
+    more = [f"and {len(refusals) - MOST_REFUSALS} more"] if len(refusals) > MOST_REFUSALS else []
+    raise IdentifyError("\n".join(["no recording could be used:", *refusals[:MOST_REFUSALS], *more]))
+
+
+def _words(result: Listened) -> list[str]:
+    """What a person should know of a recording; experiments of one file say the same of it."""
+    if result.refusal is not None:
+        return [f"{result.name}: left out: {result.refusal}"]
+    return [f"{result.name}: {note}" for note in result.notes]
 
 
 # Rows

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.hear import hear
-from seqsweep.identify.pair import Experiment, points_of
+from seqsweep.identify.pair import Experiment, _loud_enough, points_of
 from seqsweep.identify.table import read_table, validate_table
 from seqsweep.plant.protocol import Job
 from seqsweep.plant.registry import make_plant
@@ -247,6 +247,36 @@ def test_a_recording_without_a_tone_says_what_to_do(tmp_path):
     files.comtrade(tmp_path / "a", files.six(branch((), length_s=2.0, background=())), form="FLOAT32")
     _, said = identified(tmp_path, tmp_path / "a.cfg", "--direction", "load", status=2)
     assert "no tone stands above the noise" in said
+
+
+def test_where_nothing_can_be_used_every_reason_is_said_once(tmp_path):
+    told = write(tmp_path, POINTS[:1], length_s=0.3)
+    for path in tmp_path.glob("*.dat"):
+        path.unlink()
+    path = manifest(tmp_path / "m.json", [told[0], {**told[0], "start_s": 0.3}, told[1]], direction="load")
+    _, said = identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--manifest", path, status=2)
+    assert said.count("no recording could be used") == 1
+    assert [said.count(f"shot_00{k}.cfg: its .dat file is missing") for k in (0, 1)] == [1, 1], said
+
+
+@pytest.mark.parametrize("content", [{"y": [1]}, {"format": "truth"}, [1, 2], "text"])
+def test_a_json_that_is_no_manifest_is_refused_in_one_sentence(tmp_path, content):
+    files.comtrade(tmp_path / "a", files.six(branch((77.0,), length_s=0.3)))
+    (tmp_path / "truth.json").write_text(json.dumps(content))
+    arguments = (tmp_path / "a.cfg", "--manifest", tmp_path / "truth.json", "--direction", "load")
+    _, said = identified(tmp_path, *arguments, status=2)
+    assert "truth.json: no seqsweep manifest" in said
+    assert "`seqsweep inject` writes them" in said
+    assert "$" not in said
+
+
+def test_the_spread_of_a_noisy_row_is_seen_to_exceed_the_limit():
+    y = np.full((2, 2), 0.5 + 0j)  # of norm 1
+    for spread, words in ((0.1004, "is 0.1004 of it, 0.1 is"), (0.3456, "is 0.35 of it"), (np.nan, "is nan of it")):
+        status, reason = _loud_enough(y, np.eye(8) * spread**2 / 8.0)
+        assert status == "noisy"
+        assert words in reason
+    assert _loud_enough(y, np.eye(8) * 0.0999**2 / 8.0) == ("ok", "")
 
 
 def test_a_sampling_rate_that_makes_the_fundamental_absurd_is_said(tmp_path):
