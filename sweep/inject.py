@@ -8,6 +8,7 @@ one allows: a device that settles within a second need not be started anew two h
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, inf
@@ -22,7 +23,7 @@ from ..plant.registry import PlantCard
 from .comtrade_file import Encoding
 from .config import Config
 from .isolate import plant_or_card
-from .manifest_file import AMPLITUDE_UNIT, FILE_NAME, Experiment, Manifest, PlayedTone
+from .manifest_file import AMPLITUDE_UNIT, FILE_NAME, FORMAT, Experiment, Manifest, PlayedTone
 from .plan import Condition, Plan, make_plan
 from .playback import SUFFIXES, PlaybackFormat, Waveforms, phases, write_waveforms
 
@@ -33,6 +34,9 @@ ANYTHING = OperatingRange(active_power_w=(-inf, inf), terminal_voltage_v=(0.0, i
 
 MIN_SAMPLES = 4
 """Samples of the rate per fundamental period, at least."""
+
+_WRITTEN = re.compile(rf"shot_\d{{3,}}({'|'.join(map(re.escape, SUFFIXES.values()))})", re.ASCII)
+"""Names that `scheduled` gives to files: no others are removed, whatever a manifest says."""
 
 
 class InjectError(ValueError):
@@ -164,14 +168,17 @@ def inject(
     timing: Timing,
     encoding: Encoding = "BINARY",
 ) -> Manifest:
-    """Write the files of one operating point, and their manifest last.
+    """Write the files of one operating point, and their manifest last; those of an earlier one in ``folder`` go.
 
     Raises
     ------
     OSError
         If the machine refuses; the manifest is then not there.
     """
+    earlier = _files_of(folder)
     (folder / FILE_NAME).unlink(missing_ok=True)  # an old manifest must not speak for new files
+    for path in earlier:
+        path.unlink(missing_ok=True)
     files = list(scheduled(plan, condition, timing, SUFFIXES[kind]))
     for experiments in files:
         write_waveforms(folder / experiments[0].file, waveforms(plan, experiments, timing.rate_hz), kind, encoding)
@@ -187,6 +194,27 @@ def inject(
     )
     _write_manifest(folder / FILE_NAME, manifest)
     return manifest
+
+
+def _files_of(folder: Path) -> list[Path]:
+    """Files in ``folder`` that `inject` wrote, as its manifest names them; a COMTRADE .cfg has its .dat beside it."""
+    paths = [folder / name for name in _names_in(folder / FILE_NAME) if _WRITTEN.fullmatch(name)]
+    data = [path.with_suffix(".dat") for path in paths if path.suffix == SUFFIXES["comtrade"]]
+    return [path for path in (*paths, *data) if path.is_file()]
+
+
+def _names_in(manifest: Path) -> list[str]:
+    """Files that a manifest names, each once; none where it is not there or something else."""
+    try:
+        content = json.loads(manifest.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return []
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        return []
+    experiments = content.get("experiments")
+    entries = experiments if isinstance(experiments, list) else []
+    named = [each.get("file") for each in entries if isinstance(each, dict)]
+    return list(dict.fromkeys(name for name in named if isinstance(name, str)))
 
 
 def _point(condition: Condition, rating: Rating) -> dict[str, Any]:

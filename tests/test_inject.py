@@ -344,6 +344,38 @@ def test_the_command_writes_files_and_says_how_many(tmp_path: Path) -> None:
     assert json.loads((out / "manifest.json").read_text())["f1_hz"] == 60.0
 
 
+def test_force_removes_the_files_of_the_earlier_run_and_no_others(tmp_path: Path) -> None:
+    path, out = campaign(tmp_path, n=3), tmp_path / "out"
+    common = ("--rate", "5000", "--settle", "0.1", "--longest", "0")
+    assert call("inject", path, "-o", out, "--format", "comtrade", *common).returncode == 0
+    earlier = json.loads((out / "manifest.json").read_text())
+    names = ["../outside.csv", "../shot_000.csv", "notes.csv", "..", "shot_000.cfg/x.csv", 7, None]
+    earlier["experiments"] += [{"file": name} for name in names] + [{}, "x"]
+    (out / "manifest.json").write_text(json.dumps(earlier))
+    kept = [tmp_path / "outside.csv", tmp_path / "shot_000.csv", out / "notes.csv", out / "shot_000.dat.bak"]
+    for each in [*kept, out / "shot_777.cfg"]:
+        each.write_text("mine")
+    done = call("inject", path, "-o", out, "--format", "mat", *common, "--force")
+    assert done.returncode == 0, done.stderr
+    assert all(each.read_text() == "mine" for each in kept)
+    written = {each["file"] for each in json.loads((out / "manifest.json").read_text())["experiments"]}
+    assert {each.name for each in out.iterdir()} == {
+        *written,
+        "manifest.json",
+        "notes.csv",
+        "shot_000.dat.bak",
+        "shot_777.cfg",
+    }
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": "other", "experiments": [{"file": "shot_900.csv"}]}'])
+def test_a_manifest_of_something_else_removes_nothing(tmp_path: Path, content: str) -> None:
+    (tmp_path / "manifest.json").write_text(content)
+    (tmp_path / "shot_900.csv").write_text("mine")
+    played(tmp_path, "mat")
+    assert (tmp_path / "shot_900.csv").read_text() == "mine"
+
+
 def test_a_campaign_for_a_device_elsewhere_is_not_run(tmp_path: Path) -> None:
     path = campaign(tmp_path, plant="external")
     done = call("run", path, "-o", tmp_path / "y.parquet")
