@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from math import isfinite, pi
@@ -54,6 +54,9 @@ UNITS = {
     "admittance": {"S": 1.0, "mS": 1e-3, "uS": 1e-6, "kS": 1e3, "1/ohm": 1.0},
     "impedance": {"ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
 }
+
+TABLE_FACTS = ("frame", "direction", "f1_hz", "quantity", "rated_voltage_v", "rated_power_va")
+"""Facts without which there is no table."""
 
 Facts = Mapping[str, Any]
 
@@ -134,6 +137,14 @@ def need(facts: Facts, key: str, path: str | Path) -> Any:
     if key not in facts:
         raise ExchangeError(f"{path} does not say its {key}: give {OPTIONS[key]}")
     return facts[key]
+
+
+def need_all(facts: Facts, keys: Collection[str], path: str | Path) -> None:
+    """Facts that something depends on, all at once: the error names every option that is missing."""
+    missing = [key for key in OPTIONS if key in keys and key not in facts]
+    if missing:
+        options = ", ".join(OPTIONS[key] for key in missing)
+        raise ExchangeError(f"{path} does not say its {', '.join(missing)}: give {options}")
 
 
 def facts_of(comments: Sequence[str]) -> dict[str, Any]:

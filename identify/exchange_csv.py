@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from .exchange import (
+    TABLE_FACTS,
     ExchangeError,
     Facts,
     Found,
@@ -28,7 +29,7 @@ from .exchange import (
     check_file,
     facts_of,
     frequency_factor,
-    need,
+    need_all,
     points_of,
     texts,
     unit_factor,
@@ -37,6 +38,9 @@ from .exchange_headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_
 from .exchange_table import Outgoing
 from .response import FrequencyResponse
 from .table import ELEMENTS, QUALITY, atomic_file, canonical_json, std_of
+
+Places = dict[tuple[int, int], dict[str, int]]
+"""Row and column of an element to the numbers of the columns that hold its parts."""
 
 # Writing
 
@@ -98,9 +102,12 @@ def read_csv(path: str | Path, given: Facts) -> Found:
     columns = [column_of(name) for name in header]
     said = agreed(said_by_columns(path, columns), facts_of(comments), path)
     facts = agreed(said, given, path)
+    at_f = _frequency_column(path, columns)
+    places = _places(path, header, columns)
     cells = _cells(path, header, columns, rows)
-    frequency = _frequency(path, columns, cells, facts)
-    matrix = _matrix(path, header, columns, cells, frequency, facts)
+    need_all(facts, (*TABLE_FACTS, *_left_open(columns)), path)
+    frequency = _frequency(path, columns[at_f], cells[at_f], facts)
+    matrix = _matrix(path, columns, cells, places, facts)
     return Found(_sheets(columns, cells, frequency, matrix, said), facts)
 
 
@@ -183,66 +190,79 @@ def _number(path: str | Path, number: int, name: str, cell: str, kind: type) -> 
         raise ExchangeError(f"{path}: row {number}, column {name!r}: {cell[:40]!r} is not a number") from None
 
 
-def _frequency(path: str | Path, columns: Sequence[Column], cells: Sequence[np.ndarray], facts: Facts) -> np.ndarray:
+def _left_open(columns: Iterable[Column]) -> set[str]:
+    """Units that the columns do not name."""
+    facts = {("f", ""): "frequency_unit", ("value", "phase"): "phase_unit"}
+    bare = [column for column in columns if column.what in ("f", "value") and column.unit is None]
+    return {facts.get((column.what, column.part), "unit") for column in bare}
+
+
+def _frequency_column(path: str | Path, columns: Sequence[Column]) -> int:
     found = [k for k, column in enumerate(columns) if column.what == "f"]
     if len(found) != 1:
         what = "no column" if not found else f"{len(found)} columns"
         raise ExchangeError(f"{path}: {what} of frequencies; needed: one, named f or frequency, its unit in brackets")
-    unit = columns[found[0]].unit or need(facts, "frequency_unit", path)
-    if np.any(cells[found[0]].imag != 0.0):
+    return found[0]
+
+
+def _frequency(path: str | Path, column: Column, values: np.ndarray, facts: Facts) -> np.ndarray:
+    if np.any(values.imag != 0.0):
         raise ExchangeError(f"{path}: a frequency has an imaginary part")
-    return np.asarray(cells[found[0]].real * frequency_factor(unit, path))
+    return np.asarray(values.real * frequency_factor(column.unit or facts["frequency_unit"], path))
+
+
+def _places(path: str | Path, header: Sequence[str], columns: Sequence[Column]) -> Places:
+    """Which column holds which part of which element; all four must be there."""
+    places: Places = {(row, column): {} for row in (0, 1) for column in (0, 1)}
+    for number, (name, column) in enumerate(zip(header, columns, strict=True)):
+        if column.what == "value":
+            parts = places[POSITION[column.element]]
+            if column.part in parts:
+                raise ExchangeError(f"{path}: column {name!r} is there twice")
+            parts[column.part] = number
+    for at, parts in places.items():
+        if set(parts) not in ({"complex"}, {"re", "im"}, {"mag", "phase"}):
+            names = " or ".join(name for name, place in POSITION.items() if place == at)
+            given = ", ".join(sorted(parts)) or "nothing"
+            raise ExchangeError(
+                f"{path}: element {names}: {given} found; needed: re and im, magnitude and phase, or one complex "
+                f"column. The header is: {', '.join(header)[:200]}"
+            )
+    return places
 
 
 def _matrix(
-    path: str | Path,
-    header: Sequence[str],
-    columns: Sequence[Column],
-    cells: Sequence[np.ndarray],
-    f_hz: np.ndarray,
-    facts: Facts,
+    path: str | Path, columns: Sequence[Column], cells: Sequence[np.ndarray], places: Places, facts: Facts
 ) -> np.ndarray:
-    parts: dict[tuple[int, int], dict[str, np.ndarray]] = {}
-    for name, column, values in zip(header, columns, cells, strict=True):
-        if column.what == "value":
-            place = parts.setdefault(POSITION[column.element], {})
-            if column.part in place:
-                raise ExchangeError(f"{path}: column {name!r} is there twice")
-            place[column.part] = _in_si(path, column, values, facts)
-    matrix = np.empty((len(f_hz), 2, 2), dtype=complex)
-    for row, column_number in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        matrix[:, row, column_number] = _joined(path, header, (row, column_number), parts.get((row, column_number), {}))
-    return matrix
+    """Y or Z (n, 2, 2) in S or ohm."""
+    elements = [
+        _joined({part: _in_si(path, columns[k], cells[k], facts) for part, k in parts.items()})
+        for parts in places.values()
+    ]
+    return np.stack(elements, axis=-1).reshape(-1, 2, 2)
 
 
 def _in_si(path: str | Path, column: Column, values: np.ndarray, facts: Facts) -> np.ndarray:
     """S, ohm or rad; decibels are those of a magnitude in S or ohm."""
     if column.part == "phase":
-        unit = column.unit or need(facts, "phase_unit", path)
+        unit = column.unit or facts["phase_unit"]
         if unit not in ("deg", "rad"):
             raise ExchangeError(f"{path}: a phase in {unit!r}; known are deg and rad")
         return np.deg2rad(values) if unit == "deg" else values
     if column.unit == "dB":
         return np.asarray(10.0 ** (values / 20.0))
-    return np.asarray(values * unit_factor(column.unit or need(facts, "unit", path), facts, path))
+    return np.asarray(values * unit_factor(column.unit or facts["unit"], facts, path))
 
 
-def _joined(path: str | Path, header: Sequence[str], at: tuple[int, int], parts: Mapping[str, np.ndarray]) -> Any:
+def _joined(parts: Mapping[str, np.ndarray]) -> np.ndarray:
     """One element from re and im, magnitude and phase, or as it is."""
-    if set(parts) == {"complex"}:
+    if "complex" in parts:
         return parts["complex"]
-    if set(parts) == {"re", "im"}:
+    if "re" in parts:
         value = np.empty(len(parts["re"]), dtype=complex)  # not re + 1j im: NaN and signed zeros stay where they are
         value.real, value.imag = parts["re"], parts["im"]
         return value
-    if set(parts) == {"mag", "phase"}:
-        return parts["mag"] * np.exp(1j * parts["phase"])
-    names = " or ".join(name for name, place in POSITION.items() if place == at)
-    given = ", ".join(sorted(parts)) or "nothing"
-    raise ExchangeError(
-        f"{path}: element {names}: {given} found; needed: re and im, magnitude and phase, or one complex column. "
-        f"The header is: {', '.join(header)[:200]}"
-    )
+    return np.asarray(parts["mag"] * np.exp(1j * parts["phase"]))
 
 
 def _sheets(

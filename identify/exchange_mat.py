@@ -18,6 +18,7 @@ import numpy as np
 
 from .exchange import (
     MAX_BYTES,
+    TABLE_FACTS,
     ExchangeError,
     Facts,
     Found,
@@ -26,7 +27,7 @@ from .exchange import (
     check_file,
     extra,
     frequency_factor,
-    need,
+    need_all,
     texts,
     unit_factor,
 )
@@ -135,9 +136,10 @@ def _plain(path: str | Path, name: str, variables: Mapping[str, Any], given: Fac
         )
     named = _FREQUENCIES[found[0].lower()]
     facts = agreed({**said, "frequency_unit": named} if named else said, given, path)
-    factor = frequency_factor(need(facts, "frequency_unit", path), path)
+    need_all(facts, (*TABLE_FACTS, "frequency_unit", "unit"), path)
+    factor = frequency_factor(facts["frequency_unit"], path)
     f_hz = np.asarray(variables[found[0]], dtype=float).ravel() * factor
-    scale = unit_factor(need(facts, "unit", path), facts, path)
+    scale = unit_factor(facts["unit"], facts, path)
     status, reason = (_texts(path, variables.get(key), len(matrix)) for key in ("status", "reason"))
     quality = {key: np.asarray(variables[key], dtype=float).ravel() for key in QUALITY if key in variables}
     return Found((Sheet(f_hz, matrix * scale, said, status, reason, quality),), facts)
@@ -159,8 +161,9 @@ def _frd(path: str | Path, name: str, model: Any, given: Facts) -> Found:
     facts = agreed({"frequency_unit": {"rad/TimeUnit": "rad/s"}.get(unit or "", unit)}, given, path)
     matrix = _frequency_first(path, name, np.asarray(data[key], dtype=complex))
     f_hz = np.asarray(data["Frequency"], dtype=float).ravel()
-    f_hz = f_hz * frequency_factor(need(facts, "frequency_unit", path), path)
-    return Found((Sheet(f_hz, matrix * unit_factor(need(facts, "unit", path), facts, path)),), facts)
+    need_all(facts, (*TABLE_FACTS, "frequency_unit", "unit"), path)
+    f_hz = f_hz * frequency_factor(facts["frequency_unit"], path)
+    return Found((Sheet(f_hz, matrix * unit_factor(facts["unit"], facts, path)),), facts)
 
 
 def _has_delay(value: Any) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .exchange import OPTIONS, ExchangeError, Facts, Found, Sheet, file_digest, need
+from .exchange import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
 from .frames import to_frame
 from .response import Frame, FrequencyResponse
 from .table import TableError, complete_metadata, rows_of
@@ -27,11 +27,12 @@ def to_table(found: Found, path: str | Path) -> tuple[list[FrequencyResponse], d
         If a fact is missing, or the frequencies or values cannot stand in a table.
     """
     facts = found.facts
-    f1_hz = float(need(facts, "f1_hz", path))
+    need_all(facts, TABLE_FACTS, path)
+    f1_hz = float(facts["f1_hz"])
     points = [_point(sheet, facts, number, len(found.sheets)) for number, sheet in enumerate(found.sheets)]
     with np.errstate(all="ignore"):  # what overflows is found when the rows are checked
         responses = [_response(sheet, point, facts, path) for sheet, point in zip(found.sheets, points, strict=True)]
-    bases = {key: float(need(facts, key, path)) for key in ("rated_voltage_v", "rated_power_va")}
+    bases = {key: float(facts[key]) for key in ("rated_voltage_v", "rated_power_va")}
     digest = file_digest(path)
     read_as = {key: facts[key] for key in OPTIONS if key in facts and key not in bases}
     meta = {
@@ -63,11 +64,11 @@ def _point(sheet: Sheet, facts: Facts, number: int, n_sheets: int) -> dict[str, 
 
 def _response(sheet: Sheet, point: dict[str, Any], facts: Facts, path: str | Path) -> FrequencyResponse:
     where = f"{path}: {point['op_id']}"
-    frame: Frame = need(facts, "frame", path)
+    frame: Frame = facts["frame"]
     f1_hz = float(facts["f1_hz"])
     _check_values(sheet, where)
     y = _admittance(sheet.matrix, facts, path, where)
-    if need(facts, "direction", path) == "generator":
+    if facts["direction"] == "generator":
         y = -y
     if frame == "dq" and facts.get("q_axis", "leading") == "lagging":
         y = y * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -105,7 +106,7 @@ def _check_values(sheet: Sheet, where: str) -> None:
 
 
 def _admittance(matrix: np.ndarray, facts: Facts, path: str | Path, where: str) -> np.ndarray:
-    if need(facts, "quantity", path) == "admittance":
+    if facts["quantity"] == "admittance":
         return matrix
     try:
         return np.linalg.inv(matrix)

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from seqsweep.identify import exchange_mat
-from seqsweep.identify.exchange import ExchangeError
+from seqsweep.identify.exchange import OPTIONS, ExchangeError
 from seqsweep.identify.exchange_headers import column_of
 from seqsweep.identify.exchange_objects import to_control, to_network, to_xarray
 from seqsweep.identify.exchange_table import to_table
@@ -569,6 +569,25 @@ def test_what_is_missing_or_wrong_is_named(tmp_path: Path, case: str) -> None:
     assert words in str(refusal.value)
     assert len(str(refusal.value).splitlines()) == 1
     assert not (tmp_path / "imported.parquet").exists()
+
+
+def test_everything_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
+    """Text with no unit and no rating; the same as a matrix of MATLAB; and a wrong header is said before."""
+    from scipy.io import savemat
+
+    path = text(tmp_path / "bare.csv", f"f,{names('11 12 21 22', '{}_mag', '{}_phase')}", BASE)
+    with pytest.raises(ExchangeError) as refusal:
+        imported(path)
+    options = [option for option in OPTIONS.values() if not option.startswith("--q-axis")]
+    assert all(option in str(refusal.value) for option in options)
+    savemat(tmp_path / "m.mat", {"Ztot": Z, "freq": F_HZ})
+    with pytest.raises(ExchangeError) as refusal:
+        imported(tmp_path / "m.mat")
+    known = ("--quantity", "--phase-unit", "--q-axis")
+    assert all(option in str(refusal.value) for option in OPTIONS.values() if not option.startswith(known))
+    path = text(tmp_path / "headless.csv", "g,h,k", [F_HZ, F_HZ, F_HZ])
+    with pytest.raises(ExchangeError, match="no column of frequencies"):
+        imported(path)
 
 
 def test_zero_in_the_dq_frame_is_f1_and_said_so(tmp_path: Path) -> None:
