@@ -19,7 +19,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -37,6 +37,8 @@ _KINDS = {
 
 _BLACK_BOXES: set[str] = set()
 """Registered ids whose plants load foreign code."""
+
+_OURS = __name__.partition(".")[0]
 
 _PROMISES = ("id", "f1_hz", "dt_s", "rating", "operating_range", "power_meaning", "settle", "run")
 
@@ -184,7 +186,7 @@ def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Pl
     """
     factory = _find(plant_id)
     arguments = dict(parameters or {})
-    _refuse_unknown(plant_id, factory, arguments)
+    _refuse_unfit(plant_id, factory, arguments)
     try:
         plant = factory(**arguments)
     except Exception as error:
@@ -277,7 +279,7 @@ def _load(plant_id: str, target: str) -> Any:
     try:
         module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:
-        raise PlantError(f"{plant_id}: module {module_name} cannot be imported: {_in_words(error)}") from error
+        raise PlantError(f"{plant_id}: module {module_name} cannot be imported: {in_words(error)}") from error
     if not hasattr(module, attribute):
         raise PlantError(
             f"{plant_id}: module {module_name} has no {attribute!r}{_did_you_mean(attribute, dir(module))}"
@@ -291,15 +293,26 @@ def _load(plant_id: str, target: str) -> Any:
 # ---------------------------------------------------------------------- errors that help
 
 
-def _refuse_unknown(plant_id: str, factory: Any, arguments: Mapping[str, Any]) -> None:
-    """Refuse a parameter that the factory's signature does not have; one with ``**`` judges for itself."""
+def _refuse_unfit(plant_id: str, factory: Any, arguments: Mapping[str, Any]) -> None:
+    """Refuse what the factory's signature does not have, and what it needs and is not given."""
     try:
         signature = inspect.signature(factory).parameters
     except (TypeError, ValueError):
         return
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in signature.values()):
-        return
-    known = [name for name, p in signature.items() if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    by_name = {name: p for name, p in signature.items() if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+    if not any(p.kind is p.VAR_KEYWORD for p in signature.values()):  # one with ``**`` judges for itself
+        _refuse_unknown(plant_id, list(by_name), arguments)
+    missing = [name for name, p in by_name.items() if p.default is p.empty and name not in arguments]
+    if missing:
+        what = "a parameter that is" if len(missing) == 1 else "parameters that are"
+        where = "it goes" if len(missing) == 1 else "they go"
+        raise PlantError(
+            f"{plant_id} needs {what} missing: {', '.join(missing)}; {where} under [plant.parameters] of a campaign, "
+            "which seqsweep check CAMPAIGN.toml drives"
+        )
+
+
+def _refuse_unknown(plant_id: str, known: Sequence[str], arguments: Iterable[str]) -> None:
     for name in arguments:
         if name not in known:
             raise PlantError(
@@ -309,7 +322,7 @@ def _refuse_unknown(plant_id: str, factory: Any, arguments: Mapping[str, Any]) -
 
 def _refusal(plant_id: str, arguments: Mapping[str, Any], error: Exception) -> str:
     """The factory's own words, with the nearest of the names it mentions where a parameter is unknown to it."""
-    words = _in_words(error)
+    words = in_words(error)
     accused = [name for name in arguments if repr(name) in words]
     mentioned = set(re.findall(r"\w+", words)) - set(arguments)
     hint = _did_you_mean(accused[0], mentioned) if accused else ""
@@ -317,9 +330,12 @@ def _refusal(plant_id: str, arguments: Mapping[str, Any], error: Exception) -> s
     return f"{head}{words}{hint}"
 
 
-def _in_words(error: BaseException) -> str:
+def in_words(error: BaseException) -> str:
+    """What an error says; its class is told, too, where the text alone may be no sentence."""
     text = " ".join(str(error).split())
-    return text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}".rstrip(": ")
+    ours = type(error).__module__.startswith(f"{_OURS}.")
+    is_clear = ours or isinstance(error, ValueError | ImportError)
+    return text if text and is_clear else f"{type(error).__name__}: {text}".rstrip(": ")
 
 
 def _did_you_mean(given: str, known: Iterable[str]) -> str:

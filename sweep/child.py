@@ -22,7 +22,7 @@ from typing import NamedTuple, TypeVar
 
 from ..plant.endings import die_with_parent, how_it_ended
 from ..plant.protocol import Plant
-from ..plant.registry import PlantCard, PlantError, PlantSpec, card_of
+from ..plant.registry import PlantCard, PlantError, PlantSpec, card_of, in_words
 
 T = TypeVar("T")
 
@@ -31,6 +31,9 @@ START_S = 60.0
 
 SAID_BYTES = 1 << 20
 """What a plant prints is kept for its last words, and forgotten between two questions above this size."""
+
+MOST_CHARACTERS = 300
+"""Length of the reason that a child gives."""
 
 _SCRATCH = "seqsweep-run-"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -192,7 +195,7 @@ def _serve(pipe: Connection) -> None:
         plant = spec.make()
         pipe.send(card_of(plant, spec))
     except Exception as error:
-        pipe.send(_Trouble(_in_words(error)))
+        pipe.send(_Trouble(_reason(error)))
         return
     while True:
         try:
@@ -207,13 +210,11 @@ def _answer(plant: Plant, question: Callable[[Plant], object]) -> object:
     try:
         return question(plant)
     except Exception as error:
-        return _Trouble(_in_words(error))
+        return _Trouble(_reason(error))
 
 
-def _in_words(error: Exception) -> str:
-    """What a wrong call raises says enough; anything else is told by its class, too."""
-    text = " ".join(str(error).split())
-    return (text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}".rstrip(": "))[:300]
+def _reason(error: Exception) -> str:
+    return in_words(error)[:MOST_CHARACTERS]
 
 
 def _forget_what_was_said() -> None:

@@ -115,7 +115,8 @@ def test_a_program_that_cannot_introduce_itself_is_wrong_input(tmp_path, fault):
     lines = f'[plant.parameters]\nhello = "{fault}"\nanswer_s = 1.0'
     done = call("run", campaign(tmp_path, plant=f"process:{PEER}", plant_lines=lines), "-o", tmp_path / "y.parquet")
     assert done.returncode == 2
-    assert done.stderr.startswith(f"process:{PEER} cannot be made: PeerError: ")
+    assert done.stderr.startswith(f"process:{PEER} cannot be made: ")
+    assert "PeerError" not in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]
 
 

@@ -78,6 +78,9 @@ def factory(scale=1.0):
 def breaks():
     raise RuntimeError("no licence\\nfor this host")
 
+def needs(scale, *, offset, more=0.0, **others):
+    return RLBranch(r_ohm=0.1 * scale + offset)
+
 def nothing():
     return object()
 """
@@ -107,7 +110,7 @@ def test_a_python_plant_is_found_in_the_current_directory(local_plant):
         ("python:seqsweep_local_plant:TEXT", "is a str, not a factory"),
         ("python:seqsweep_local_plant:nothing", "made a object, which is no plant: it lacks id, f1_hz"),
         ("python:seqsweep_local_plant:breaks", "cannot be made: RuntimeError: no licence for this host"),
-        ("python:seqsweep_local_broken:factory", "cannot be imported: ModuleNotFoundError: .*nothing_of_that_name"),
+        ("python:seqsweep_local_broken:factory", "cannot be imported: No module named 'nothing_of_that_name'"),
         ("python:seqsweep_local_exit:factory", "cannot be imported: SystemExit: 3"),
         ("python:seqsweep_nowhere:factory", "seqsweep_nowhere cannot be imported"),
         ("python:seqsweep_local_plant", "must read python:package.module:factory"),
@@ -117,6 +120,14 @@ def test_a_python_plant_is_found_in_the_current_directory(local_plant):
 def test_a_python_plant_that_cannot_be_made_says_why(local_plant, target, words):
     with pytest.raises(PlantError, match=words):
         make_plant(target, {})
+
+
+def test_missing_parameters_are_named_with_the_place_where_they_go(local_plant):
+    with pytest.raises(PlantError, match=r"missing: scale, offset; they go under \[plant.parameters\] of a campaign"):
+        make_plant(f"{local_plant}:needs")
+    with pytest.raises(PlantError, match=r"a parameter that is missing: offset; it goes under"):
+        make_plant(f"{local_plant}:needs", {"scale": 1.0})
+    assert make_plant(f"{local_plant}:needs", {"scale": 1.0, "offset": 0.1}).r_ohm == pytest.approx(0.2)
 
 
 def test_an_entry_point_is_read_only_for_an_unknown_id(monkeypatch):
