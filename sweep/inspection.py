@@ -7,6 +7,7 @@ would be, and where, is said instead.
 from __future__ import annotations
 
 import ast
+import os
 import platform
 import subprocess
 import sys
@@ -29,6 +30,10 @@ INTRODUCTION_S = 60.0
 
 _ASKED = "cigre:"
 
+_HOLDERS = ".fmu, .so, .dll, .py, a campaign .toml"
+
+_CALLED = (ast.FunctionDef, ast.ClassDef)
+
 _CONTROLLER = ("Model_GetInfo", "Model_Outputs")
 
 
@@ -45,6 +50,9 @@ def findings_of(plant_id: str, parameters: Mapping[str, Any] | None = None) -> S
         If there is no such plant, or it cannot be made from these parameters.
     """
     spec = PlantSpec(plant_id, parameters or {})
+    kind, _, rest = plant_id.partition(":")
+    if kind == "fmu" and rest:
+        _refuse_no_file(Path(rest))
     refuse_unknown_id(plant_id)
     if not runs_isolated(plant_id, None):
         return check_plant(spec.make())
@@ -64,8 +72,25 @@ def findings_of_campaign(path: Path) -> Sequence[Finding]:
 
 
 def is_inspected(what: str) -> bool:
-    """Whether ``what`` names a file to read, or a controller to ask, not a plant to drive."""
-    return what.startswith(_ASKED) or (Path(what).suffix.lower() in _READERS and Path(what).is_file())
+    """Whether ``what`` names a file to read, or a controller to ask, not a plant or a campaign to drive."""
+    head, colon, _ = what.partition(":")
+    if what.startswith(_ASKED):
+        return True
+    path = Path(what)
+    if (colon and not _separated(head)) or what.endswith(".toml"):
+        return False
+    return _separated(what) or path.suffix.lower() in _READERS or ("." in what and path.exists())
+
+
+def _separated(text: str) -> bool:
+    return any(separator in text for separator in (os.sep, os.altsep) if separator)
+
+
+def _refuse_no_file(path: Path) -> None:
+    if path.is_dir():
+        raise InspectionError(f"{path} is a folder; needed: a file that could hold a plant ({_HOLDERS})")
+    if not path.is_file():
+        raise InspectionError(f"{path}: no such file")
 
 
 def inspect(path: Path) -> str:
@@ -74,10 +99,13 @@ def inspect(path: Path) -> str:
     Raises
     ------
     ValueError
-        If it is not what its name says, or unfit to be unpacked.
+        If there is no such file, or it is not what its name says, or unfit to be unpacked.
     """
     if str(path).startswith(_ASKED):
         return _introduction(Path(str(path).removeprefix(_ASKED)))
+    _refuse_no_file(path)
+    if path.suffix.lower() not in _READERS:
+        raise InspectionError(f"{path} is no file that could hold a plant ({_HOLDERS})")
     return "\n".join(_READERS[path.suffix.lower()](path))
 
 
@@ -152,12 +180,45 @@ def _module(path: Path) -> Iterator[str]:
         tree = ast.parse(path.read_bytes(), str(path))
     except (SyntaxError, ValueError) as error:
         raise InspectionError(f"{path}: not Python: {error}") from None
-    kinds = (ast.FunctionDef, ast.ClassDef)
-    names = [node.name for node in tree.body if isinstance(node, kinds) and not node.name.startswith("_")]
+    public = [node for node in tree.body if isinstance(node, _CALLED) and not node.name.startswith("_")]
+    classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    factories = [node.name for node in public if _is_called_bare(node, classes)]
+    others = [node.name for node in public if node.name not in factories]
     yield f"{path}: a Python module"
-    yield from _listed("functions and classes that may be factories", names or ["none"])
+    yield from _listed(
+        "functions and classes that may be factories", factories or ["none without parameters" if others else "none"]
+    )
+    yield from _listed("functions and classes that need parameters, or may", others)
     yield "  would be executed, in a child process: the whole module when it is imported, then the factory"
-    yield f"  to drive it, from its folder: seqsweep check python:{path.stem}:{names[0] if names else 'FACTORY'}"
+    suggested = [name for name in factories if name != "main"]
+    if suggested:
+        yield f"  to drive it, from its folder: seqsweep check python:{path.stem}:{suggested[0]}"
+    else:
+        yield f'  to drive it: a campaign with [plant] id = "python:{path.stem}:FACTORY" and [plant.parameters], in its'
+        yield "  folder; then seqsweep check CAMPAIGN.toml. A program that speaks frames is process:COMMAND instead"
+
+
+def _is_called_bare(node: ast.FunctionDef | ast.ClassDef, classes: Mapping[str, ast.ClassDef]) -> bool:
+    """Whether the source says that it can be called without arguments; a base from elsewhere says nothing."""
+    if isinstance(node, ast.FunctionDef):
+        return _n_required(node.args) == 0
+    for inner in node.body:
+        if isinstance(inner, ast.FunctionDef) and inner.name == "__init__":
+            return _n_required(inner.args) <= 1
+    fields = [inner for inner in node.body if isinstance(inner, ast.AnnAssign) and inner.value is None]
+    if node.decorator_list and fields:
+        return False
+    others = {name: other for name, other in classes.items() if name != node.name}
+    return not node.keywords and all(
+        isinstance(base, ast.Name) and base.id in others and _is_called_bare(others[base.id], others)
+        for base in node.bases
+    )
+
+
+def _n_required(arguments: ast.arguments) -> int:
+    """Number of arguments without a default, a method's first included."""
+    positional = len(arguments.posonlyargs) + len(arguments.args) - len(arguments.defaults)
+    return positional + sum(default is None for default in arguments.kw_defaults)
 
 
 def _listed(title: str, names: Sequence[str]) -> Iterator[str]:

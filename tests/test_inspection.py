@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import subprocess
+from pathlib import Path
 
 import pytest
 
 from seqsweep.plant.shared_object import SharedObjectError, read_shared_object
 from seqsweep.sweep.inspection import inspect, is_inspected
 
-from .commands import call, campaign
+from .commands import SEQSWEEP, call, campaign
 from .fmus import compiler, fmu
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
 
 # Each leaves a trace when it is executed: a constructor of the library, the top of the module.
 LIBRARY = """
@@ -30,6 +33,10 @@ def library(folder, rest):
     source.write_text(LIBRARY.format(trace=folder / "trace", rest=rest))
     subprocess.run([cc, "-shared", "-fPIC", "-o", path, source], check=True)
     return path
+
+
+def called_in(folder, *arguments):
+    return subprocess.run([SEQSWEEP, *arguments], cwd=folder, capture_output=True, text=True, timeout=60)
 
 
 def test_a_library_is_read_and_not_loaded(tmp_path):
@@ -108,10 +115,80 @@ def test_a_module_is_read_and_not_imported(tmp_path):
         inspect(path)
 
 
-def test_a_name_that_is_no_file_is_a_plant():
-    assert not is_inspected("branch-v1")
-    assert not is_inspected("fmu:box.fmu")
-    assert not is_inspected("nowhere.fmu")
+MODULE = """
+from dataclasses import dataclass
+from elsewhere import Base
+def step(state, v, dt): ...
+def scaled(*, scale): ...
+def main(): ...
+@dataclass
+class State: step: int
+class Based(Base): ...
+class Box:
+    def __init__(self, r_ohm=0.1, *, l_h=1e-3): ...
+class Needy(Box):
+    def __init__(self, r_ohm): ...
+class Special(Box): ...
+def load(*parts, **more): ...
+"""
+
+
+def test_only_what_can_be_called_without_arguments_is_suggested(tmp_path):
+    path = tmp_path / "box.py"
+    path.write_text(MODULE)
+    said = inspect(path)
+    assert "may be factories: main, Box, Special, load\n" in said
+    assert "need parameters, or may: step, scaled, State, Based, Needy\n" in said
+    assert said.endswith("seqsweep check python:box:Box")
+    path.write_text("def step(state, v, dt): ...\ndef main(): ...\n")
+    said = inspect(path)
+    assert 'id = "python:box:FACTORY" and [plant.parameters]' in said
+    assert "check python:" not in said
+
+
+def test_what_is_suggested_of_an_example_works():
+    said = called_in(EXAMPLES, "check", "step_plant.py")
+    command = said.stdout.splitlines()[-1].partition("seqsweep ")[2].split()
+    assert command == ["check", "python:step_plant:load"]
+    assert called_in(EXAMPLES, *command).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "what", ["branch-v1", "fmu:box.fmu", "process:python3 a/b.py", "nowhere.toml", "a/nowhere.toml"]
+)
+def test_a_name_that_is_no_file_is_a_plant_or_a_campaign(what):
+    assert not is_inspected(what)
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("vendor.fmu", "vendor.fmu: no such file"),
+        ("turbine.so", "turbine.so: no such file"),
+        ("nosuch.py", "nosuch.py: no such file"),
+        ("fmu:vendor.fmu", "vendor.fmu: no such file"),
+        ("no/such", "no/such: no such file"),
+        ("folder.fmu", "folder.fmu is a folder; needed: a file that could hold a plant"),
+        ("./folder.fmu", "is a folder"),
+        ("notes.txt", "notes.txt is no file that could hold a plant (.fmu, .so, .dll, .py, a campaign .toml)"),
+        ("./notes", "is no file that could hold a plant"),
+    ],
+)
+def test_what_looks_like_a_file_is_refused_as_a_file(tmp_path, what, words):
+    (tmp_path / "folder.fmu").mkdir()
+    for name in ("notes", "notes.txt"):
+        (tmp_path / name).write_text("")
+    done = called_in(tmp_path, "check", what)
+    assert (done.returncode, "unknown plant" in done.stderr) == (2, False)
+    assert words in done.stderr
+
+
+def test_an_fmu_without_its_parameters_says_which_and_where_they_go(tmp_path):
+    (tmp_path / "box.fmu").write_text("")
+    done = called_in(tmp_path, "check", "fmu:box.fmu")
+    assert done.returncode == 2
+    assert "missing: dt_s, voltage_v, power_va, voltage, current; they go under [plant.parameters]" in done.stderr
+    assert "TypeError" not in done.stderr
 
 
 def test_the_plant_of_a_campaign_is_driven_with_its_parameters(tmp_path):
