@@ -4,7 +4,7 @@ dpsim can only go forwards from the start. So a state here is *how to get there*
 and everything injected since. `run` builds the simulation anew, waits until it has settled, replays
 the past and only then records. Slow, but the same promise: the same job gives the same answer.
 
-    pip install dpsim==1.4.0
+    pip install 'seqsweep[bench]'
     seqsweep run examples/dpsim_plant.toml -o build/dpsim.parquet
 """
 
@@ -14,6 +14,7 @@ import os
 import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,8 @@ class DpsimConverter:
     power_meaning = "power reference of the converter's controller"
 
     def __init__(self, settled: float = 1e-7, patience_s: float = 5.0):
+        if find_spec("dpsimpy") is None:
+            raise ImportError("dpsim is not installed: pip install 'seqsweep[bench]'")
         self.settled, self.patience_s = settled, patience_s
         self.steps_spent: Counter[str] = Counter()  # a meter, read by the benchmark; no answer depends on it
 

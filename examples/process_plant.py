@@ -1,6 +1,6 @@
 """An R-L branch as a program: the whole protocol of ``process:COMMAND``, with snapshots.
 
-seqsweep check "process:python3 examples/process_plant.py"
+From the top folder of the project: seqsweep check "process:python3 examples/process_plant.py"
 """
 
 import json

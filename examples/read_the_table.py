@@ -33,4 +33,7 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        print(f"usage: python {sys.argv[0]} TABLE.parquet", file=sys.stderr)
+        sys.exit(2)
     main(sys.argv[1])

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,22 @@ def test_the_table_is_read_without_the_package(tmp_path: Path) -> None:
     assert "seqsweep-admittance 1." in said
     assert "8 rows" in said
     assert "|Ypp| is largest at" in said
+
+
+def test_without_a_table_its_usage_is_told(tmp_path: Path) -> None:
+    command = [sys.executable, str(EXAMPLES / "read_the_table.py")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+    assert done.stderr.startswith("usage: ")
+
+
+@pytest.mark.skipif(find_spec("dpsimpy") is not None, reason="dpsim is installed")
+def test_a_simulator_that_is_missing_is_wrong_input(tmp_path: Path) -> None:
+    command = [SEQSWEEP, "run", "examples/dpsim_plant.toml", "-o", str(tmp_path / "y.parquet")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=EXAMPLES.parent, timeout=120)
+    assert done.returncode == 2
+    assert "pip install 'seqsweep[bench]'" in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_simulator_from_elsewhere_is_swept_from_cold(tmp_path: Path) -> None:
