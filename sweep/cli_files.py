@@ -149,6 +149,6 @@ def inject_command(
     written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
     ends = {experiment.file: experiment.end_s for experiment in written.experiments}
     typer.echo(
-        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {len(ends)} files, "
+        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {len(ends)} file{'s' if len(ends) > 1 else ''}, "
         f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
     )

@@ -329,7 +329,7 @@ def test_the_command_writes_files_and_says_how_many(tmp_path: Path) -> None:
     assert not out.exists()
     done = call("inject", path, "-o", out, *common, "--op", "p1")
     assert done.returncode == 0, done.stderr
-    assert "p1, 6 experiments in 1 files" in done.stdout
+    assert "p1, 6 experiments in 1 file" in done.stdout
     assert sorted(file.name for file in out.iterdir()) == ["manifest.json", "shot_000.cfg", "shot_000.dat"]
     done = call("inject", path, "-o", out, *common, "--op", "p1")
     assert done.returncode == 2
