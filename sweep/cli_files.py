@@ -148,7 +148,8 @@ def inject_command(
     output.mkdir(exist_ok=True)
     written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
     ends = {experiment.file: experiment.end_s for experiment in written.experiments}
+    files = f"{len(ends)} file{'s' if len(ends) > 1 else ''}"
     typer.echo(
-        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {len(ends)} file{'s' if len(ends) > 1 else ''}, "
+        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {files}, "
         f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
     )
