@@ -104,7 +104,7 @@ def test_regions_of_a_noisy_multisine_hold_their_level():
 
 
 def test_a_slow_mode_is_told_from_the_period_it_outlasts():
-    """The turbine's DC link decays with 1 s; without the extrapolation 10 s would leave 1e-1 beside f1."""
+    """Slow, fast and real modes under lines of their own: what two periods show is enough for all of them."""
     time_s = 1e-3 * np.arange(2000)
     modes = np.exp(np.multiply.outer([-0.8 + 4j, -13.0 + 160j, -0.3], time_s))
     shares = np.array([[1.0, 0.3, 0.2], [0.5j, 0.1, -0.4]])

@@ -40,7 +40,7 @@ class Grid:
         finite = np.isfinite([self.r_ohm, self.x_ohm, self.f1_hz]).all()
         if not finite or self.r_ohm < 0.0 or self.x_ohm <= 0.0 or self.f1_hz <= 0.0:
             raise ValueError(
-                f"grid {self.r_ohm:g} + j{self.x_ohm:g} ohm at {self.f1_hz:g} Hz: need R >= 0, X > 0 and f1 > 0; "
+                f"grid {self.r_ohm:g}{self.x_ohm:+g}j ohm at {self.f1_hz:g} Hz: need R >= 0, X > 0 and f1 > 0; "
                 "give R + jX in ohm at the fundamental, e.g. 0.012+0.25j"
             )
 
