@@ -8,29 +8,22 @@ arrays. A library that keeps its whole state there can be put back to any moment
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import math
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .cigre_abi import MESSAGE, OK, CigreError, InstanceStruct, Library, Parameter, Port
+from .sealed import ControllerFault, Offer, Stretch
 from .wiring import Terminal, nearest
 
-EMT = 1
-
-GUARD_BYTES = 4096
-"""Before and behind everything that a library may write: what changes there was written out of bounds."""
-
-GUARD = 0xFF
-"""Eight of these are not a number: a library that reads out of bounds shows it."""
-
-
-class ControllerFault(Exception):
-    """The library refused, or broke the interface; the message says what it did."""
+EMT, RMS = 1, 2
 
 
 class ControllerMemory(NamedTuple):
@@ -43,37 +36,6 @@ class ControllerMemory(NamedTuple):
     double_states: bytes
 
 
-class Stretch:
-    """Memory between two guards, aligned for every type.
-
-    Attributes
-    ----------
-    address : int
-        Where it begins.
-    cells : (n,) uint8
-        The bytes themselves, rounded up to whole doubles.
-    """
-
-    def __init__(self, what: str, n_bytes: int):
-        self._what, self._n_bytes = what, n_bytes
-        room = -(-n_bytes // 8) * 8
-        self._all = np.full(room + 2 * GUARD_BYTES + 64, GUARD, np.uint8)
-        self._first = GUARD_BYTES + -(self._all.ctypes.data + GUARD_BYTES) % 64
-        self.cells = self._all[self._first : self._first + room]
-        self.cells[:n_bytes] = 0
-        self.address = self._all.ctypes.data + self._first
-
-    def check(self) -> None:
-        """Raise `ControllerFault` if anything around the memory was written."""
-        outside = np.flatnonzero(self._all != GUARD) - self._first
-        beyond = outside[(outside < 0) | (outside >= self._n_bytes)]
-        if len(beyond):
-            raise ControllerFault(
-                f"the library wrote out of bounds, {beyond[0]:+d} bytes from the start of its {self._what}, for which "
-                f"it declares {self._n_bytes} bytes: a width or a type in Model_GetInfo does not fit its code"
-            )
-
-
 class Controller:
     """A library, allocated and ready to be started.
 
@@ -83,6 +45,8 @@ class Controller:
         The code.
     settings : mapping
         Values of parameters by name; the others have the library's defaults.
+    again : callable, optional
+        Gives the library of the next run, for one that does not start anew by itself; the same unless given.
 
     Raises
     ------
@@ -90,8 +54,13 @@ class Controller:
         If a setting is unknown, of the wrong kind, or beyond the library's limits.
     """
 
-    def __init__(self, library: Library, settings: Mapping[str, Any] | None = None):
-        self.library = library
+    def __init__(
+        self,
+        library: Library,
+        settings: Mapping[str, Any] | None = None,
+        again: Callable[[], Library] | None = None,
+    ):
+        self.library, self._settings, self._again, self._started = library, settings or {}, again, False
         info = library.info
         inputs, outputs = _layout(info.inputs), _layout(info.outputs)
         self.inputs, self.outputs = Stretch("inputs", inputs.itemsize), Stretch("outputs", outputs.itemsize)
@@ -102,7 +71,7 @@ class Controller:
             Stretch("float states", 4 * info.n_float_states),
             Stretch("double states", 8 * info.n_double_states),
         )
-        self._parameters, self._strings = _parameters(info.parameters, settings or {}, library.path)
+        self._parameters, self._strings = _parameters(info.parameters, self._settings, library.path)
         self._struct = InstanceStruct(
             inputs=self.inputs.address,
             outputs=self.outputs.address,
@@ -120,8 +89,16 @@ class Controller:
         self.addresses = np.array([function, ctypes.addressof(self._struct)], np.int64)
         self.messages: list[str] = []
 
+    def renewed(self) -> Controller:
+        """This one, before its first run; then another one, whose memory is blank."""
+        if not self._started:
+            return self
+        self.end()
+        return Controller(self._again() if self._again else self.library, self._settings, self._again)
+
     def start(self) -> None:
         """First calls of a run, at time zero; inputs and outputs already hold their initial values."""
+        self._started = True
         self.time[0] = 0.0
         for name in ("Model_FirstCall", "Model_CheckParameters", "Model_Initialize"):
             self._call(name)
@@ -150,7 +127,7 @@ class Controller:
         for stretch in (self.inputs, self.outputs, *self._states, self._parameters):
             stretch.check()
 
-    def refusal(self, name: str) -> ControllerFault:
+    def refusal(self, name: str = "Model_Outputs") -> ControllerFault:
         """The error that the library left behind when ``name`` failed."""
         text = _words(self._struct.error_message) or "no message"
         before = f" (it had said: {self.messages[-1]})" if self.messages else ""
@@ -162,6 +139,42 @@ class Controller:
             return
         if function(ctypes.addressof(self._struct)) not in (OK, MESSAGE):
             raise self.refusal(name)
+
+
+def offer(path: Path, settings: Mapping[str, Any], sample_time_s: float | None) -> Offer:
+    """A library as a controller for a circuit in time; it is loaded into this process.
+
+    Raises
+    ------
+    CigreError
+        If it cannot be used, or its sample time is not known, or another one.
+    """
+    library = Library(path)
+    info = library.info
+    if info.emt_rms == RMS:
+        raise CigreError(f"{path} is a model for RMS programs; its control cannot be sampled in a circuit in time")
+    own = info.sample_time_s
+    if sample_time_s is None and not own:
+        raise CigreError(f"{path} names no sample time: give sample_time_s, in s")
+    if own and sample_time_s is not None and abs(sample_time_s - own) > 1e-9 * own:
+        raise CigreError(f"sample_time_s is {sample_time_s:g} s, but {path} is sampled every {own:g} s: leave it away")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Offer(
+        partial(_opened, path, settings),
+        partial(_opened_copy, path, settings),
+        "arrays",
+        own or float(sample_time_s or 0.0),
+        {"name": info.name, "version": info.version, "sha256": digest},
+    )
+
+
+def _opened(path: Path, settings: Mapping[str, Any]) -> Controller:
+    return Controller(Library(path), settings)
+
+
+def _opened_copy(path: Path, settings: Mapping[str, Any]) -> Controller:
+    copy = partial(private_copy, path)
+    return Controller(copy(), settings, copy)
 
 
 def private_copy(path: str | Path) -> Library:

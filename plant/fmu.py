@@ -1,4 +1,4 @@
-"""``fmu:FILE.fmu``: a device, or a controller, as an FMI 2.0 co-simulation FMU.
+"""``fmu:FILE.fmu``: a device as an FMU for co-simulation, FMI 2.0 or 3.0.
 
 Which variable is what is said in the campaign's ``[plant.parameters]``, checked before anything runs:
 
@@ -15,14 +15,13 @@ Which variable is what is said in the campaign's ``[plant.parameters]``, checked
     active_power = "p_ref"                     # optional: set before it starts
     start = { k_p = 0.5 }                      # optional: other variables, set before it starts
 
-A voltage is held for a step, and the current is that at the end of the step.
+A voltage is held for a step, and the current is that at the end of the step. A controller goes into the
+turbine's circuit instead: `grey`.
 """
 
 from __future__ import annotations
 
-import difflib
 import shutil
-import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -34,16 +33,23 @@ import numpy as np
 
 from .branches import Replays, Snapshots
 from .driven import Branches, DrivenPlant, Identity
-from .fmu_archive import description_of, sha256_of, unpack
-from .fmu_instance import Instance, Model, Ports, warm
+from .fmu_archive import sha256_of
+from .fmu_instance import Instance, Model, unpacked, warm
+from .fmu_variables import (
+    Contents,
+    FmuError,
+    Setting,
+    contents_of,
+    find,
+    find_power,
+    find_settable,
+    setting,
+    width_of,
+)
 from .forked import Forks
 from .periodic import Clock, Patience
 from .protocol import OperatingPoint, OperatingRange, Rating, SourceDirection
 from .threephase import abc_of, vector_of
-
-
-class FmuError(ValueError):
-    """An FMU that cannot be driven as the campaign says, with the variable and the way out."""
 
 
 class Terminals(NamedTuple):
@@ -54,7 +60,7 @@ class Terminals(NamedTuple):
     voltage_unit_v: float
     current_unit_a: float
     direction: SourceDirection
-    power: tuple[str, int] | None
+    power: Setting | None
     power_unit_w: float
 
 
@@ -62,32 +68,55 @@ class FmuBox:
     """A whole device as a `driven.Box` and a `branches.SnapshotBox`."""
 
     def __init__(self, model: Model, terminals: Terminals):
-        self._instance, self._terminals = Instance(model), terminals
+        self._instance, self._terminals, self._dt_s = Instance(model), terminals, model.dt_s
+        self._cells = tuple(memory.cells.view(float) for memory in (self._instance.inputs, self._instance.outputs))
+        self._step = 0
 
     def start(self, operating_point: OperatingPoint) -> None:
         """Begin at time zero, cold."""
         power = self._terminals.power
         power_w = operating_point.active_power_w / self._terminals.power_unit_w
-        self._instance.start([(*power, power_w)] if power else [])
+        self._instance.start([power._replace(values=(power_w,))] if power else [])
+        self._step = 0
 
     def advance(self, v: np.ndarray) -> np.ndarray:
-        """Currents (n,) at the ends of n steps under voltages (n,)."""
+        """Currents (n,) at the ends of n steps under voltages (n,).
+
+        Raises
+        ------
+        FmuFault
+            If a step is discarded or fails.
+        """
         t = self._terminals
         u = (abc_of(v) if t.n_voltages == 3 else v[:, None].view(float)) / t.voltage_unit_v
-        y = self._instance.advance(u) * (t.current_unit_a if t.direction == "load" else -t.current_unit_a)
+        y = self._through(u) * (t.current_unit_a if t.direction == "load" else -t.current_unit_a)
         return vector_of(y) if t.n_currents == 3 else y.view(complex)[:, 0]
 
+    def _through(self, u: np.ndarray) -> np.ndarray:
+        """Outputs (n, n_out) after n steps under inputs (n, n_in)."""
+        from .kernels import fmi
+
+        u, y = np.ascontiguousarray(u, float), np.empty((len(u), self._terminals.n_currents))
+        step, block = self._instance.addresses
+        done = int(fmi.advance(step, block, self._instance.time, self._step, self._dt_s, *self._cells, u, y))
+        self._step += done
+        self._instance.check()
+        if done < len(u):
+            raise self._instance.failure()
+        return y
+
     def save(self) -> Any:
-        """As `Instance.save`."""
-        return self._instance.save()
+        """A snapshot, held by the FMU."""
+        return self._instance.save(), self._step
 
     def load(self, snapshot: Any) -> None:
-        """As `Instance.load`."""
-        self._instance.load(snapshot)
+        """Be as it was when ``snapshot`` was taken."""
+        held, self._step = snapshot
+        self._instance.load(held)
 
     def drop(self, snapshot: Any) -> None:
-        """As `Instance.drop`."""
-        self._instance.drop(snapshot)
+        """Give the snapshot back to the FMU."""
+        self._instance.drop(snapshot[0])
 
 
 def fmu_plant(
@@ -146,41 +175,23 @@ def fmu_plant(
     ValueError
         If the file is no FMU that can be driven, or a variable is not what it should be; with its name.
     """
-    path = Path(file)
-    description = description_of(path)
-    _refuse_what_cannot_be_driven(path, description)
+    contents = contents_of(Path(file))
     for name, value in {"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va}.items():
         if not 0.0 < value < inf:
             raise FmuError(f"{name} is {value:g}; needed: a finite number above 0")
     _one_of("current_direction", current_direction, ("load", "generator"))
-    find = partial(_variable, path, {variable.name: variable for variable in description.modelVariables})
-    inputs = [find("voltage", name, "input") for name in _few("voltage", voltage)]
-    outputs = [find("current", name, "output") for name in _few("current", current)]
-    before = [(find("start", name, ""), value) for name, value in (start or {}).items()]
-    power = find("active_power", active_power, "") if active_power else None
-    can_go_back = _goes_back(path, description.coSimulation, snapshot)
-    ports = Ports(
-        tuple(variable.valueReference for variable in inputs),
-        tuple(variable.valueReference for variable in outputs),
-        tuple((_setter(variable), variable.valueReference, _value(variable, value)) for variable, value in before),
-    )
-    folder = tempfile.mkdtemp(prefix="fmu-")
-    unpack(path, Path(folder))
-    model = Model(
-        folder,
-        description.guid,
-        description.coSimulation.modelIdentifier,
-        ports,
-        float(dt_s),
-        can_go_back,
-    )
+    inputs, outputs = _few(contents, "voltage", voltage, "input"), _few(contents, "current", current, "output")
+    before = [setting("start", find_settable(contents, "start", name), value) for name, value in (start or {}).items()]
+    power = find_power(contents, active_power) if active_power else None
+    can_go_back = _goes_back(contents, snapshot)
+    model = unpacked(contents, inputs, outputs, before, dt_s, can_go_back)
     terminals = Terminals(
-        len(inputs),
-        len(outputs),
+        sum(map(width_of, inputs)),
+        sum(map(width_of, outputs)),
         voltage_unit_v,
         current_unit_a,
         current_direction,
-        None if power is None else ("Real", power.valueReference),
+        None if power is None else setting("active_power", power, 0.0),
         active_power_unit_w,
     )
     low, high = terminal_voltage_pu
@@ -193,9 +204,13 @@ def fmu_plant(
         power_meaning,
     )
     branches = _branches(partial(FmuBox, model, terminals), can_go_back, snapshot)
-    contents = {"file_sha256": sha256_of(path), "model": f"{description.modelName} {description.version or ''}".strip()}
-    plant = DrivenPlant(identity, branches, Patience(settle_tolerance, patience_s), contents)
-    weakref.finalize(plant, shutil.rmtree, folder, ignore_errors=True)
+    plant = DrivenPlant(
+        identity,
+        branches,
+        Patience(settle_tolerance, patience_s),
+        {"file_sha256": sha256_of(contents.path), "model": contents.name},
+    )
+    weakref.finalize(plant, shutil.rmtree, model.folder, ignore_errors=True)
     return plant
 
 
@@ -205,34 +220,14 @@ def _branches(build: partial[FmuBox], can_go_back: bool, snapshot: str) -> Branc
     return Replays(build) if snapshot == "cold" else Forks(build, warm)
 
 
-# ---------------------------------------------------------------------- what the campaign says, against the FMU
-
-
-def _refuse_what_cannot_be_driven(path: Path, description: Any) -> None:
-    if description.fmiVersion != "2.0" or description.coSimulation is None:
-        kinds = [kind for kind in ("modelExchange", "coSimulation") if getattr(description, kind) is not None]
-        raise FmuError(
-            f"{path}: FMI {description.fmiVersion}, {' and '.join(kinds) or 'no interface'}; needed: FMI 2.0 for "
-            "co-simulation, which most tools export on request"
-        )
-    if description.coSimulation.needsExecutionTool:
-        raise FmuError(f"{path}: it needs the tool it comes from, running; export it as a self-contained FMU")
-    from fmpy import platform, supported_platforms
-
-    offered = supported_platforms(str(path))
-    if platform not in offered:
-        raise FmuError(
-            f"{path}: it has binaries for {', '.join(offered) or 'no platform'}, this machine is {platform}; export it "
-            "for this one, or drive it elsewhere by process:COMMAND"
-        )
-
-
-def _goes_back(path: Path, interface: Any, snapshot: str) -> bool:
+def _goes_back(contents: Contents, snapshot: str) -> bool:
     """Whether its own get and set of the state are used."""
     _one_of("snapshot", snapshot, ("auto", "state", "fork", "cold"))
-    if snapshot == "state" and not interface.canGetAndSetFMUstate:
-        raise FmuError(f'{path}: snapshot = "state", but it cannot get and set its state; "auto" takes what there is')
-    return bool(interface.canGetAndSetFMUstate) and snapshot in ("auto", "state")
+    if snapshot == "state" and not contents.can_go_back:
+        raise FmuError(
+            f'{contents.path}: snapshot = "state", but it cannot get and set its state; "auto" takes what there is'
+        )
+    return contents.can_go_back and snapshot in ("auto", "state")
 
 
 def _one_of(name: str, value: Any, known: Sequence[str]) -> None:
@@ -240,43 +235,13 @@ def _one_of(name: str, value: Any, known: Sequence[str]) -> None:
         raise FmuError(f"{name} is {value!r}; needed: {', '.join(known)}")
 
 
-def _few(name: str, names: Sequence[str]) -> Sequence[str]:
-    if not isinstance(names, list | tuple) or len(names) not in (2, 3) or not all(isinstance(n, str) for n in names):
-        raise FmuError(f"{name} is {names!r}; needed: the names of two variables, alpha and beta, or of three phases")
-    return names
-
-
-def _variable(path: Path, known: Mapping[str, Any], key: str, name: str, causality: str) -> Any:
-    """The variable called ``name``, of the right causality and type for ``key``."""
-    if name not in known:
-        alike = [other for other, variable in known.items() if not causality or variable.causality == causality]
-        near = difflib.get_close_matches(name, alike, n=1)
-        hint = f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(alike[:12])}"
-        raise FmuError(f"{key}: {path} has no variable {name!r}{hint}")
-    variable = known[name]
-    if causality and variable.causality != causality:
-        raise FmuError(f"{key}: variable {name!r} of {path} is an {variable.causality}; needed: an {causality}")
-    if (causality or key == "active_power") and variable.type != "Real":
-        raise FmuError(f"{key}: variable {name!r} of {path} is a {variable.type}; needed: a Real")
-    if not causality and variable.causality not in ("parameter", "input") and variable.initial != "exact":
-        raise FmuError(f"{key}: variable {name!r} of {path}, {variable.causality}, cannot be set at the start")
-    return variable
-
-
-def _setter(variable: Any) -> str:
-    """Which of the FMU's functions sets a variable."""
-    return "Integer" if variable.type == "Enumeration" else str(variable.type)
-
-
-def _value(variable: Any, value: Any) -> Any:
-    """A start value as the type of its variable wants it."""
-    right = {
-        "Real": isinstance(value, int | float) and not isinstance(value, bool),
-        "Integer": isinstance(value, int) and not isinstance(value, bool),
-        "Enumeration": isinstance(value, int) and not isinstance(value, bool),
-        "Boolean": isinstance(value, bool),
-        "String": isinstance(value, str),
-    }
-    if not right.get(variable.type, False):
-        raise FmuError(f"start: variable {variable.name!r} is a {variable.type}; given {value!r}")
-    return value
+def _few(contents: Contents, key: str, names: Sequence[str], causality: str) -> list[Any]:
+    """Variables that make a space vector."""
+    if isinstance(names, list | tuple) and all(isinstance(name, str) for name in names):
+        variables = [find(contents, key, name, causality) for name in names]
+        if sum(map(width_of, variables)) in (2, 3):
+            return variables
+    raise FmuError(
+        f"{key} is {names!r}; needed: the names of two variables, alpha and beta, or of three phases, or of an array "
+        "of so many"
+    )

@@ -1,21 +1,26 @@
-"""One instance of an FMI 2.0 co-simulation FMU, stepped by a compiled loop over its functions.
+"""One instance of an FMU for co-simulation, stepped by compiled code through the addresses of its functions.
 
-For a whole device see `fmu`; a controller is stepped row by row, or by a kernel of its own through the addresses.
+For a whole device see `fmu`, for a controller in the turbine's circuit `fmu_controller`.
 """
 
 from __future__ import annotations
 
+import ctypes
+import tempfile
 from collections.abc import Sequence
-from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .branches import BoxLost
+from .fmu_archive import unpack
+from .fmu_variables import Contents, Group, Setting, laid_out, n_bytes
+from .fmu_versions import VERSIONS
+from .sealed import Stretch
 
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 _FATAL = 4
-_CALLS = ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
 
 
 class FmuFault(RuntimeError):
@@ -26,155 +31,194 @@ class FmuLost(FmuFault, BoxLost):
     """A fatal answer: the standard allows no further call."""
 
 
-class Ports(NamedTuple):
-    """Value references of what is set and read in every step, and of what is set before the start."""
-
-    inputs: tuple[int, ...]
-    outputs: tuple[int, ...]
-    before: tuple[tuple[str, int, Any], ...]
-
-
 class Model(NamedTuple):
-    """An unpacked FMU: everything it takes to make an instance, in any process."""
+    """An unpacked FMU: everything it takes to make an instance, in any process.
+
+    Attributes
+    ----------
+    folder, guid, identifier : str
+        Where it was unpacked; what its description says of it.
+    version : int
+        Of the standard, its first number.
+    inputs, outputs : tuple of Group
+        What is set and read in every step.
+    n_input_bytes, n_output_bytes : int
+        Memory that these take.
+    before : tuple of Setting
+        What is set before every start.
+    dt_s : float
+        Communication step (s).
+    can_go_back : bool
+        Whether its own get and set of the state are used.
+    """
 
     folder: str
     guid: str
     identifier: str
-    ports: Ports
+    version: int
+    inputs: tuple[Group, ...]
+    outputs: tuple[Group, ...]
+    n_input_bytes: int
+    n_output_bytes: int
+    before: tuple[Setting, ...]
     dt_s: float
     can_go_back: bool
 
 
+def unpacked(
+    contents: Contents,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    before: Sequence[Setting],
+    dt_s: float,
+    can_go_back: bool,
+) -> Model:
+    """The FMU in a new folder, which is the caller's to remove; ``inputs`` and ``outputs`` are variables (fmpy's).
+
+    Raises
+    ------
+    ArchiveError
+        If something in it is not fit to be unpacked.
+    """
+    sides = [laid_out(contents, variables)[0] for variables in (inputs, outputs)]
+    folder = tempfile.mkdtemp(prefix="fmu-")
+    unpack(contents.path, Path(folder))
+    return Model(
+        folder,
+        contents.description.guid,
+        contents.description.coSimulation.modelIdentifier,
+        contents.version,
+        *sides,
+        *(n_bytes(contents, groups) for groups in sides),
+        tuple(before),
+        float(dt_s),
+        can_go_back,
+    )
+
+
 class Instance:
-    """One instance of an FMU, stepped by a compiled loop.
+    """One instance of an FMU.
 
     Parameters
     ----------
     model : Model
-        The FMU.
+        The FMU; it is loaded into this process.
+
+    Attributes
+    ----------
+    inputs, outputs : Stretch
+        Memory of what is set and read in every step.
+    time : (1,) float
+        Time (s) at the beginning of the next step.
+    addresses : (2,) int64
+        Of a function that sets, steps and gets, and of its argument: 0 or 1 is well, see `Sealed`.
     """
 
     def __init__(self, model: Model):
-        from fmpy.fmi2 import FMU2Slave
+        from .kernels import fmi
 
-        self._model = model
-        self._fmu = FMU2Slave(guid=model.guid, unzipDirectory=model.folder, modelIdentifier=model.identifier)
+        self._model, self._version = model, VERSIONS[model.version]
+        self._slave = self._version.load(model.folder, model.guid, model.identifier)
         self._messages: list[str] = []
-        self._callbacks = _callbacks(self._messages)
-        self._inputs = np.array(model.ports.inputs, np.uint32)
-        self._outputs = np.array(model.ports.outputs, np.uint32)
-        self._started = False
-        self.step = 0
+        self.inputs, self.outputs = Stretch("inputs", model.n_input_bytes), Stretch("outputs", model.n_output_bytes)
+        self._references = [np.array(group.references, np.uint32) for group in (*model.inputs, *model.outputs)]
+        self._calls = [
+            f"{verb}{self._version.types[group.type].called}"
+            for verb, groups in (("Set", model.inputs), ("Get", model.outputs))
+            for group in groups
+        ]
+        self._block = np.zeros(fmi.N_CELLS, np.int64)
+        times = self._block.view(np.float64)
+        times[fmi.STEP_SIZE] = model.dt_s
+        self.time = times[fmi.TIME : fmi.TIME + 1]
+        self.addresses = np.array([fmi.STEPS[model.version], self._block.ctypes.data], np.int64)
+        self._fill_in()
 
-    @property
-    def functions(self) -> tuple[int, int, int]:
-        """Addresses of fmi2SetReal, fmi2DoStep and fmi2GetReal, for kernels that step it themselves."""
-        import ctypes
-
-        found = [ctypes.cast(getattr(self._fmu.dll, name), ctypes.c_void_p).value for name in _CALLS]
-        return found[0] or 0, found[1] or 0, found[2] or 0
-
-    @property
-    def component(self) -> int:
-        """Address of the instance, for the same kernels."""
-        return int(self._fmu.component)
-
-    def start(self, more: Sequence[tuple[str, int, Any]] = ()) -> None:
-        """Begin at time zero with the start values of the model, and ``more``: (type, reference, value).
+    def start(self, before: Sequence[Setting] = (), within: Sequence[Setting] = ()) -> None:
+        """Begin at time zero with the start values of the model, and more set ``before`` and ``within`` initialization.
 
         Raises
         ------
         FmuFault
             If a call is not answered by ok or a warning.
         """
+        from .kernels import fmi
+
+        slave = self._slave
         try:
-            if not self._started:
-                self._fmu.instantiate(callbacks=self._callbacks, loggingOn=False)
-                self._started = True
+            if slave.component is None:
+                self._version.instantiate(slave, self._messages)
             else:
-                self._fmu.reset()
-            self._fmu.setupExperiment(startTime=0.0)
-            for kind, reference, value in (*self._model.ports.before, *more):
-                getattr(self._fmu, f"set{kind}")([reference], [value])
-            self._fmu.enterInitializationMode()
-            self._fmu.exitInitializationMode()
+                slave.reset()
+            self._set((*self._model.before, *before))
+            self._version.initialize(slave)
+            self._set(within)
+            slave.exitInitializationMode()
         except Exception as error:
             raise FmuFault(f"the FMU does not start: {' '.join(str(error).split())}{self._last_message()}") from None
-        self.step = 0
+        self._block[fmi.INSTANCE] = int(slave.component)
+        self.time[0] = 0.0
 
-    def advance(self, u: np.ndarray) -> np.ndarray:
-        """Outputs (n, n_out) after n steps under inputs (n, n_in).
+    def check(self) -> None:
+        """Raise `ControllerFault` if it wrote beyond the widths that it declares."""
+        self.inputs.check()
+        self.outputs.check()
 
-        Raises
-        ------
-        FmuFault
-            If a step is discarded or fails.
-        """
-        from .kernels import fmi2
+    def failure(self) -> FmuFault:
+        """Why the last step ended early."""
+        from .kernels import fmi
 
-        u = np.ascontiguousarray(u, float)
-        y = np.empty((len(u), len(self._outputs)))
-        done, call, status = fmi2.advance(
-            self.functions,
-            self.component,
-            self._inputs,
-            self._outputs,
-            self.step,
-            self._model.dt_s,
-            np.int32(not self._model.can_go_back),
-            u,
-            y,
-        )
-        self.step += int(done)
-        if done < len(u):
-            raise (FmuLost if status == _FATAL else FmuFault)(
-                f"{_CALLS[call]} answered {_STATUS[status] if status < len(_STATUS) else status} at "
-                f"{self.step * self._model.dt_s:.6g} s{self._last_message()}"
-            )
-        return y
+        where, status = int(self._block[fmi.WHERE]), int(self._block[fmi.STATUS])
+        when = f"at {self.time[0]:.6g} s{self._last_message()}"
+        if where == fmi.END_ASKED:
+            return FmuFault(f"the FMU asks for the end of the simulation {when}")
+        call = f"{self._version.prefix}{'DoStep' if where == fmi.STEP else self._calls[where]}"
+        answer = _STATUS[status] if status < len(_STATUS) else status
+        return (FmuLost if status == _FATAL else FmuFault)(f"{call} answered {answer} {when}")
 
-    def save(self) -> tuple[Any, int]:
+    def save(self) -> Any:
         """A snapshot, held by the FMU."""
-        return self._fmu.getFMUstate(), self.step
+        return getattr(self._slave, f"get{self._version.state}")()
 
-    def load(self, snapshot: tuple[Any, int]) -> None:
+    def load(self, snapshot: Any) -> None:
         """Be as it was when ``snapshot`` was taken."""
-        state, self.step = snapshot
-        self._fmu.setFMUstate(state)
+        getattr(self._slave, f"set{self._version.state}")(snapshot)
 
-    def drop(self, snapshot: tuple[Any, int]) -> None:
+    def drop(self, snapshot: Any) -> None:
         """Give the snapshot back to the FMU."""
-        self._fmu.freeFMUstate(snapshot[0])
+        getattr(self._slave, f"free{self._version.state}")(snapshot)
+
+    def _fill_in(self) -> None:
+        """The block of numbers that a step reads: `kernels.fmi`."""
+        from .kernels import fmi
+
+        model, block = self._model, self._block
+        block[fmi.DO_STEP] = self._address("DoStep")
+        block[fmi.NO_WAY_BACK] = not model.can_go_back
+        block[fmi.N_SETS], block[fmi.N_GETS] = len(model.inputs), len(model.outputs)
+        memories = [self.inputs.address] * len(model.inputs) + [self.outputs.address] * len(model.outputs)
+        groups = (*model.inputs, *model.outputs)
+        for k, (group, memory, references) in enumerate(zip(groups, memories, self._references, strict=True)):
+            values = memory + group.first, group.n_values
+            block[fmi.group(k)] = self._address(self._calls[k]), references.ctypes.data, len(references), *values
+
+    def _address(self, call: str) -> int:
+        function = getattr(self._slave.dll, f"{self._version.prefix}{call}")
+        return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+    def _set(self, settings: Sequence[Setting]) -> None:
+        for kind, reference, values in settings:
+            name = self._version.enumeration if kind == "Enumeration" else kind
+            getattr(self._slave, f"set{name}")([reference], list(values))
 
     def _last_message(self) -> str:
         return f"; it says: {self._messages[-1]}" if self._messages else ""
 
 
 def warm() -> None:
-    """Have the kernel ready before anything is forked."""
-    from .kernels import fmi2
+    """Have the kernels ready before anything is forked."""
+    from .kernels import fmi
 
-    none = np.empty((0, 1))
-    fmi2.advance((0, 0, 0), 0, np.empty(1, np.uint32), np.empty(1, np.uint32), 0, 1.0, np.int32(0), none, none)
-
-
-def _callbacks(messages: list[str]) -> Any:
-    """The functions an FMU may call: it logs into ``messages``, of which the last are kept."""
-    from ctypes import byref
-
-    from fmpy import calloc, free
-    from fmpy import fmi2 as interface
-
-    def hear(environment: Any, name: Any, status: int, category: Any, message: bytes | None) -> None:
-        messages.append((message or b"").decode(errors="replace").strip()[:200])
-        del messages[:-10]
-
-    callbacks = interface.fmi2CallbackFunctions()
-    callbacks.logger = interface.fmi2CallbackLoggerTYPE(hear)
-    callbacks.allocateMemory = interface.fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = interface.fmi2CallbackFreeMemoryTYPE(free)
-    with suppress(Exception):  # fills in what a message's % stand for, where it can be loaded
-        from fmpy.logging import addLoggerProxy
-
-        addLoggerProxy(byref(callbacks))
-    return callbacks
+    nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
+    address, none = np.int64(ctypes.cast(nothing, ctypes.c_void_p).value), np.zeros(0)
+    fmi.advance(address, np.int64(0), np.zeros(1), 0, 1.0, none, none, np.zeros((1, 0)), np.zeros((1, 0)))

@@ -11,29 +11,35 @@ its power into the DC link is constant, and that is how it appears here.
 
 from __future__ import annotations
 
-import hashlib
+import shutil
 import sys
-from collections.abc import Mapping, Sequence
+import weakref
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from .branched import Branched, BranchedState, Forwards, Listen, Run, is_whole
-from .branches import Replays
-from .cigre_abi import CigreError, Library
+from .branches import Replays, Snapshots
 from .damping import checked_compensation
 from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .forked import Forks
 from .grey_core import SampledTurbine, warm_up
 from .periodic import Patience
 from .protocol import Injection, Job, OperatingPoint, Phasors, Record, Source, Tone, Window
+from .sealed import Offer
 
 CIRCUIT = ("u_rated_v", "s_rated_va", "w1_rad_s", "l_c_h", "r_f_ohm", "c_f_f", "c_dc_f", "v_dc_ref_v")
 """Fields of `TurbineParameters` that belong to the circuit; ``v_dc_ref_v`` is where the DC link starts."""
 
 SNAPSHOTS = ("auto", "states", "fork", "copy")
-"""How a state is kept: found out, as the declared arrays, as a process, or by going the way again in a fresh copy."""
+"""How a state is kept: found out, by the controller's own means, as a process, or by going again in a fresh copy."""
+
+_FALLBACK = "fork" if sys.platform == "linux" else "copy"
+"""What any controller stands."""
+
+LONGEST_SAMPLE_S = 1e-3
 
 POSITIONS_KEPT = 72
 """Processes at positions: two for each shot of a batch, where it is and where it was, and some to spare."""
@@ -43,18 +49,18 @@ PROBE_PU = 0.02
 
 
 class GreyTurbine:
-    """The reference turbine's circuit with a real-code controller in it.
+    """The reference turbine's circuit with a controller in it.
 
     Parameters
     ----------
     controller : str
-        ``cigre:FILE``, a TB 958 library; it is loaded into this process.
+        ``cigre:FILE``, a TB 958 library, or ``fmu:FILE``, an FMU for co-simulation; it is loaded into this process.
     inputs, outputs : mapping
         The signal map: what each port of the controller is; see `wiring`.
     settings : mapping
         Parameters of the controller by name; the others have its defaults.
     sample_time_s : float
-        Sample time (s) of a controller that does not say its own.
+        Sample time (s) of a controller that does not say its own; communication step of an FMU.
     delay_samples : 0 or 1
         Samples by which the converter follows late.
     patience_s, settle_tolerance : float
@@ -70,7 +76,7 @@ class GreyTurbine:
     Raises
     ------
     ValueError
-        If the library cannot be used, the map does not fit its ports, or a parameter is unknown or out of its range.
+        If the controller cannot be used, the map does not fit its ports, or a parameter is unknown or out of its range.
     """
 
     id = SampledTurbine.id
@@ -101,30 +107,32 @@ class GreyTurbine:
         for name, table in {"settings": settings or {}, "inputs": inputs, "outputs": outputs}.items():
             if not isinstance(table, Mapping):
                 raise ValueError(f"{name} is {table!r}; {self.id} needs a table")
-        path = _path(controller)
-        library = Library(path)
-        self._build = partial(
-            SampledTurbine,
-            path,
-            dict(inputs),
-            dict(outputs),
-            dict(settings or {}),
-            _circuit(parameters),
-            _sample_time(library, sample_time_s),
-            delay_samples,
-            Patience(*_positive(settle_tolerance=settle_tolerance, patience_s=patience_s)),
-            checked_compensation(self.id, [damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz]),
+        offer = _offer(controller, settings or {}, outputs, sample_time_s, snapshot)
+        if offer.folder is not None:
+            weakref.finalize(self, shutil.rmtree, offer.folder, ignore_errors=True)
+        self._offer, self._build = (
+            offer,
+            partial(
+                SampledTurbine,
+                inputs=dict(inputs),
+                outputs=dict(outputs),
+                parameters=_circuit(parameters),
+                dt_s=offer.sample_time_s,
+                delay=delay_samples,
+                patience=Patience(*_positive(settle_tolerance=settle_tolerance, patience_s=patience_s)),
+                block=checked_compensation(self.id, [damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz]),
+            ),
         )
-        self._core = core = self._build()
+        self._core = core = self._build(offer.open)
         self.f1_hz, self.dt_s, self.rating, self.operating_range = (
             core.f1_hz,
             core.dt_s,
             core.rating,
             core.operating_range,
         )
-        self.contents = {"controller": _fingerprint(library)}
-        self._branched = None if snapshot in ("auto", "states") else self._branches(snapshot)
-        self._sure = snapshot != "auto"
+        self.contents = {"controller": dict(offer.contents)}
+        self._sure = snapshot != "auto" or not offer.states
+        self._branched = self._branches(_kept(snapshot, offer, controller))
         self._settled: dict[tuple[OperatingPoint, Source], Any] = {}
 
     def settle(self, operating_point: OperatingPoint, source: Source) -> Any:
@@ -163,26 +171,51 @@ class GreyTurbine:
         ]
 
     def _go_on(self, job: Job, action: Run | Listen) -> tuple[BranchedState, Any]:
-        self._branched = self._branched or self._branches("fork")  # a state from another process
+        if not self._sure or self._branched is None:  # a state from another process, which knew more
+            self._branched, self._sure = self._branches(_FALLBACK), True
         return self._branched.go_on(job.state, action)
 
     def _found(self, operating_point: OperatingPoint, source: Source) -> Any:
-        """A steady state, once it is known whether states can be kept as what the library declares."""
-        if self._branched is None:
-            state = self._core.settle(operating_point, source)
-            if self._sure or is_whole(self._core, state, self._probe):
-                self._sure = True
-                return state
-            self._branched = self._branches("fork" if sys.platform == "linux" else "copy")
+        """A steady state, once it is known whether the controller's own means keep all of it."""
+        state = (self._branched or self._core).settle(operating_point, source)
+        if self._sure:
+            return state
+        self._sure = True  # so that the question below is answered from the states in question
+        if is_whole(self, state, self._probe):
+            return state
+        self._branched = self._branches(_FALLBACK)
         return self._branched.settle(operating_point, source)
 
     def _probe(self, sign: float) -> Injection:
         return Injection("series_voltage", (Tone(1.7 * self.f1_hz, sign * PROBE_PU * self.rating.peak_voltage_v),))
 
-    def _branches(self, snapshot: str) -> Branched:
-        if snapshot == "fork":
-            return Branched(Forks(partial(_forwards, self._build), warm_up, POSITIONS_KEPT))
-        return Branched(Replays(partial(_forwards, partial(self._build, fresh=True))))
+    def _branches(self, kept: str) -> Branched | None:
+        """What keeps the states, if they are not in hand."""
+        build = partial(self._build, self._offer.open)
+        if kept == "arrays":
+            return None
+        if kept == "snapshots":
+            return Branched(Snapshots(partial(_going_back, build)))
+        if kept == "fork":
+            return Branched(Forks(partial(_forwards, build), warm_up, POSITIONS_KEPT))
+        return Branched(Replays(partial(_forwards, partial(self._build, self._offer.open_copy))))
+
+
+class GoingBack(Forwards):
+    """A plant whose controller takes snapshots of itself, and the state it is in."""
+
+    def save(self) -> Any:
+        """The circuit's state and the controller's snapshot."""
+        return self.state, self.plant.controller.save()
+
+    def load(self, snapshot: Any) -> None:
+        """Be as it was when ``snapshot`` was taken."""
+        self.state, held = snapshot
+        self.plant.controller.load(held)
+
+    def drop(self, snapshot: Any) -> None:
+        """Give the controller's snapshot back to it."""
+        self.plant.controller.drop(snapshot[1])
 
 
 def around_library(path: str, **parameters: Any) -> GreyTurbine:
@@ -193,15 +226,49 @@ def around_library(path: str, **parameters: Any) -> GreyTurbine:
     return GreyTurbine(f"cigre:{path}", **parameters)
 
 
-def _forwards(build: partial[SampledTurbine]) -> Forwards:
+def _forwards(build: Callable[[], SampledTurbine]) -> Forwards:
     return Forwards(build())
 
 
-def _path(controller: str) -> Path:
+def _going_back(build: Callable[[], SampledTurbine]) -> GoingBack:
+    return GoingBack(build())
+
+
+def _offer(
+    controller: str,
+    settings: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    sample_time_s: float | None,
+    snapshot: str,
+) -> Offer:
+    """The controller by its kind, read and ready to be opened."""
     kind, colon, rest = str(controller).partition(":")
-    if not (colon and kind == "cigre" and rest):
-        raise CigreError(f"controller is {controller!r}; it must read cigre:FILE, the path of a TB 958 library")
-    return Path(rest)
+    if not (colon and kind in ("cigre", "fmu") and rest):
+        raise ValueError(
+            f"controller is {controller!r}; it must read cigre:FILE (a TB 958 library) or fmu:FILE (an FMU)"
+        )
+    if sample_time_s is not None and not (isinstance(sample_time_s, float) and 0.0 < sample_time_s <= LONGEST_SAMPLE_S):
+        raise ValueError(
+            f"sample_time_s is {sample_time_s!r}; needed: a number above 0 and up to {LONGEST_SAMPLE_S:g}, in s"
+        )
+    if kind == "cigre":
+        from . import cigre
+
+        return cigre.offer(Path(rest), settings, sample_time_s)
+    from . import fmu_controller
+
+    return fmu_controller.offer(Path(rest), settings, sample_time_s, outputs, snapshot in ("auto", "states"))
+
+
+def _kept(snapshot: str, offer: Offer, controller: str) -> str:
+    """How states are kept at first."""
+    if snapshot == "states" and not offer.states:
+        raise ValueError(
+            f'snapshot = "states", but {controller} cannot get and set its state; "auto" takes what there is'
+        )
+    if snapshot in ("auto", "states"):
+        return offer.states or _FALLBACK
+    return snapshot
 
 
 def _circuit(parameters: Mapping[str, Any]) -> TurbineParameters:
@@ -216,26 +283,3 @@ def _positive(**values: Any) -> list[float]:
         if isinstance(value, bool) or not isinstance(value, int | float) or not (value > 0.0 and isfinite(value)):
             raise ValueError(f"{name} is {value!r}; {GreyTurbine.id} needs a finite number above 0")
     return [float(value) for value in values.values()]
-
-
-def _fingerprint(library: Library) -> dict[str, str]:
-    """What tells this controller from the next one under the same name."""
-    digest = hashlib.sha256(library.path.read_bytes()).hexdigest()
-    return {"name": library.info.name, "version": library.info.version, "sha256": digest}
-
-
-def _sample_time(library: Library, given: float | None) -> float:
-    own = library.info.sample_time_s
-    if library.info.emt_rms == 2:
-        raise CigreError(
-            f"{library.path} is a model for RMS programs; its control cannot be sampled in a circuit in time"
-        )
-    if given is None and own == 0.0:
-        raise CigreError(f"{library.path} names no sample time: give sample_time_s, in s")
-    if given is None:
-        return own
-    if not (isinstance(given, float) and 0.0 < given <= 1e-3):
-        raise CigreError(f"sample_time_s is {given!r}; needed: a number above 0 and up to 1e-3, in s")
-    if own and abs(given - own) > 1e-9 * own:
-        raise CigreError(f"sample_time_s is {given:g} s, but {library.path} is sampled every {own:g} s: leave it away")
-    return given

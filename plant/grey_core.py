@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import cmath
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isfinite, pi, sqrt, tan
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import dpmsg_equilibrium as stationary
 from . import grey_circuit as circuit
-from .cigre import Controller, ControllerFault, ControllerMemory, private_copy
-from .cigre_abi import Library
 from .damping import NOTCH_XI
 from .dpmsg_parameters import TurbineParameters
 from .periodic import Clock, Patience, until_periodic, voltage_asked
@@ -37,6 +34,7 @@ from .protocol import (
     Source,
     Window,
 )
+from .sealed import ControllerFault, Sealed
 from .sources import series_tones, turns
 from .wiring import Map, wire
 
@@ -68,8 +66,8 @@ class GreyState:
         i_L, v_C, i_g (A, V; phase peak, stationary frame), the command that waits, the band pass at the port.
     energy : float
         Of the DC link (J).
-    memory : ControllerMemory
-        What the controller declares it remembers.
+    memory : object
+        What the controller declares it remembers; see `Sealed`.
     v_source : complex
         Source voltage at time zero (V, phase peak).
     source : Source
@@ -82,7 +80,7 @@ class GreyState:
     time_s: float
     x: np.ndarray
     energy: float
-    memory: ControllerMemory
+    memory: Any
     v_source: complex
     source: Source
     power_w: float
@@ -90,14 +88,14 @@ class GreyState:
 
 
 class SampledTurbine:
-    """A controller of a TB 958 library in the turbine's circuit; `GreyTurbine` is what users meet.
+    """A controller in the turbine's circuit; `GreyTurbine` is what users meet.
 
     Parameters
     ----------
-    path : path
-        The library; it is loaded into this process.
-    inputs, outputs, settings : mapping
-        Signal map and parameters of the controller.
+    open_controller : callable
+        Makes the controller; it is loaded into this process.
+    inputs, outputs : mapping
+        The signal map.
     parameters : TurbineParameters
         Those of the circuit.
     dt_s : float
@@ -108,8 +106,6 @@ class SampledTurbine:
         When it counts as settled.
     block : Compensation
         What stands at the measurement port, between v_pcc and the controller.
-    fresh : bool
-        Whether every start takes a new copy of the library, for one that does not start anew by itself.
     """
 
     id = "dpmsg-grey-v1"
@@ -120,28 +116,24 @@ class SampledTurbine:
 
     def __init__(
         self,
-        path: Path,
+        open_controller: Callable[[], Sealed],
         inputs: Mapping[str, Any],
         outputs: Mapping[str, Any],
-        settings: Mapping[str, Any],
         parameters: TurbineParameters,
         dt_s: float,
         delay: int,
         patience: Patience,
         block: Compensation,
-        fresh: bool = False,
     ):
         self.parameters, self.dt_s = parameters, dt_s
         self.f1_hz = parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(parameters.u_rated_v, parameters.s_rated_va)
         low, high = VOLTAGE_PU
         self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
-        self.library = Library(path)
-        self._path, self._settings, self._delay, self._patience, self._fresh = path, settings, delay, patience, fresh
-        self._begun_before = False
+        self._delay, self._patience = delay, patience
         self._port = _port(block, parameters.w1_rad_s, dt_s)
-        self._controller = Controller(self.library, settings)
-        self._map = wire(self._controller.input_terminals, self._controller.output_terminals, inputs, outputs)
+        self.controller = open_controller()
+        self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
 
     # ------------------------------------------------------------------ steady state
 
@@ -196,20 +188,14 @@ class SampledTurbine:
         i_g = rest.i_g * turn
         x = np.array([rest.i_l * turn, rest.v_c * turn, i_g, command, *self._port_at_rest(i_g)])
         energy = 0.5 * p.c_dc_f * p.v_dc_ref_v**2
-        nothing = ControllerMemory(b"", b"", b"", b"", b"")
-        state = GreyState(0, 0.0, x, energy, nothing, v_source * turn, source, power_w, voltage_v)
+        state = GreyState(0, 0.0, x, energy, None, v_source * turn, source, power_w, voltage_v)
         return replace(state, memory=self._begun(state, command))
 
-    def _begun(self, state: GreyState, command: complex) -> ControllerMemory:
-        """The controller, begun anew in ``state`` with the outputs that make ``command``."""
+    def _begun(self, state: GreyState, command: complex) -> Any:
+        """What the controller remembers, begun anew in ``state`` with the outputs that make ``command``."""
         from .kernels import grey as kernel
 
-        if self._begun_before:
-            self._controller.end()
-        self._begun_before = True
-        if self._fresh:
-            self.library = private_copy(self._path)
-        self._controller = controller = Controller(self.library, self._settings)
+        self.controller = controller = self.controller.renewed()
         network, store, quantities = self._surroundings(state)
         box = self._box()
         v_dc = kernel.inform(box, network, store, quantities, state.x, state.v_source, state.energy)
@@ -285,7 +271,7 @@ class SampledTurbine:
         """Put everything back to the job's state, go on, and keep where it ended."""
         from .kernels import grey as kernel
 
-        state, controller = job.state, self._controller
+        state, controller = job.state, self.controller
         controller.restore(state.memory)
         x = state.x.copy()
         network, store, quantities = self._surroundings(state)
@@ -294,7 +280,7 @@ class SampledTurbine:
         )
         controller.check()
         if how == kernel.REFUSED:
-            raise controller.refusal("Model_Outputs")
+            raise controller.refusal()
         if how == kernel.NOT_A_NUMBER:
             raise ControllerFault(f"{self._silent_port()} is not a finite number at {controller.time[0]:.6g} s")
         if how == kernel.EMPTY:
@@ -306,7 +292,7 @@ class SampledTurbine:
         """The controller as the kernel takes it."""
         from .kernels import grey as kernel
 
-        controller = self._controller
+        controller = self.controller
         inputs, outputs = _cells(controller.inputs.cells), _cells(controller.outputs.cells)
         return kernel.Box(controller.addresses, controller.time, inputs, outputs, _wiring(self._map), self._port)
 
@@ -343,10 +329,10 @@ class SampledTurbine:
 
     def _silent_port(self) -> str:
         """The first wired output that is not finite, in words."""
-        cells = _cells(self._controller.outputs.cells)
+        cells = _cells(self.controller.outputs.cells)
         for part in self._map.outputs:
             if not isfinite(getattr(cells, part.type)[part.cell]):
-                for port in self._controller.output_terminals:
+                for port in self.controller.output_terminals:
                     if port.type == part.type and port.first <= part.cell < port.first + port.width:
                         return f"output port {port.name!r}"
         return "an output"

@@ -256,7 +256,7 @@ def _factor(key: str, port: Terminal, entry: Mapping[str, Any], dimensions: set[
 
 
 def _unit(key: str, port: Terminal, entry: Mapping[str, Any], dimension: str) -> str:
-    """The port's unit: as the map says, which must not contradict the library, else as the library says."""
+    """The port's unit: as the map says, which must not contradict the controller, else as that says."""
     own = port.unit.strip("[]() ")
     own = {"p.u.": "pu", "p.u": "pu", "PU": "pu", "-": "", "none": ""}.get(own, own)
     own = own if own == "pu" or own in _UNITS else ""
@@ -264,7 +264,7 @@ def _unit(key: str, port: Terminal, entry: Mapping[str, Any], dimension: str) ->
     unit = entry.get("unit", default)
     fitting = [name for name, (of, _) in _UNITS.items() if of == dimension]
     if unit == "":
-        said = f"the library says {port.unit!r}" if port.unit else "the library does not say it"
+        said = f"the controller says {port.unit!r}" if port.unit else "the controller does not say it"
         raise WiringError(f"{key}: port {port.name!r} needs a unit ({said}): {', '.join(fitting)} or pu")
     if unit != "pu" and unit not in fitting:
         raise WiringError(
@@ -272,8 +272,8 @@ def _unit(key: str, port: Terminal, entry: Mapping[str, Any], dimension: str) ->
         )
     if own and unit != own and "unit" in entry and entry.get("override_unit") is not True:
         raise WiringError(
-            f"{key}: port {port.name!r} is in {own} by the library's own description, in {unit} by the signal map; "
-            "if the library is wrong, add override_unit = true"
+            f"{key}: port {port.name!r} is in {own} by the controller's own description, in {unit} by the signal map; "
+            "if that is wrong, add override_unit = true"
         )
     return str(unit)
 

@@ -9,11 +9,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqsweep.plant.cigre import Controller, ControllerFault, Stretch, private_copy
+from seqsweep.plant.cigre import Controller, private_copy
 from seqsweep.plant.cigre_abi import CigreError, Library, describe
 from seqsweep.plant.grey import GreyTurbine
 from seqsweep.plant.protocol import Job, OperatingPoint, Source
 from seqsweep.plant.registry import PlantError, make_plant
+from seqsweep.plant.sealed import ControllerFault, Stretch
 from seqsweep.plant.wiring import WiringError, wire
 
 from .commands import call
@@ -223,7 +224,7 @@ def mapped(inputs, outputs, *switches):
         ({"v_abc": "v_pc_abc"}, {}, r"port 'v_abc' has the signal 'v_pc_abc', .* \(did you mean 'v_pcc_abc'\?\)"),
         ({"v_abc": "v_pcc_a"}, {}, "port 'v_abc' is 3 wide, but 'v_pcc_a' is 1 numbers"),
         ({"v_abc": {"signal": "v_pcc_abc", "unit": "kA"}}, {}, "'v_abc' has unit 'kA', but its signal is in V"),
-        ({"v_abc": {"signal": "v_pcc_abc", "unit": "kV"}}, {}, "'v_abc' is in V by the library's own description"),
+        ({"v_abc": {"signal": "v_pcc_abc", "unit": "kV"}}, {}, "'v_abc' is in V by the controller's own description"),
         ({"v_abc": {"signal": "v_pcc_abc", "unit": "pu", "override_unit": True}}, {}, "'v_abc' is in pu: say what one"),
         ({"v_abc": {"signal": "v_pcc_abc", "base": 563.0}}, {}, "has a base, but its unit is 'V'; a base needs unit"),
         ({"v_abc": {"signal": "v_pcc_abc", "sign": 2}}, {}, "'v_abc' has sign = 2; it is 1 or -1"),

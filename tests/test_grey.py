@@ -21,13 +21,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.cigre import ControllerFault
 from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 from seqsweep.plant.forked import BoxDied
 from seqsweep.plant.grey import GreyTurbine
 from seqsweep.plant.grey_circuit import forcing, network
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone, Window
 from seqsweep.plant.registry import make_plant
+from seqsweep.plant.sealed import ControllerFault
 
 from . import oracle, sampled
 from .commands import SEQSWEEP
@@ -331,8 +331,8 @@ def test_the_host_costs_at_most_a_third_of_a_microsecond_a_step():
     device = plant()
     state = device.settle(POINT, Source())
     core, n_steps = device._core, 1_000_000
-    function = core.library.function("Model_Outputs")
-    argument = int(core._controller.addresses[1])
+    function = core.controller.library.function("Model_Outputs")
+    argument = int(core.controller.addresses[1])
     whole, alone = [], []
     for _ in range(5):
         begun = time.process_time()
