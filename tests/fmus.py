@@ -10,20 +10,25 @@ from pathlib import Path
 
 import pytest
 
+from .descriptions import Variable
+from .descriptions import description as described
+
 SOURCE = Path(__file__).parent / "boxes" / "box_fmu.c"
 
+_PARAMETERS = {"p_w": 0.0, "fault": 0.0, "after_s": 0.0, "k_pll": 0.5}
+
 VARIABLES = [
-    *[(f"v_{phase}", "input", "continuous", 0.0) for phase in "abc"],
-    *[(f"i_{phase}", "output", "continuous", None) for phase in "abc"],
-    ("p_w", "parameter", "fixed", 0.0),
-    ("fault", "parameter", "fixed", 0.0),
-    ("after_s", "parameter", "fixed", 0.0),
-    ("k_pll", "parameter", "fixed", 0.5),
-    ("v_alpha", "input", "continuous", 0.0),
-    ("v_beta", "input", "continuous", 0.0),
-    ("i_alpha", "output", "continuous", None),
-    ("i_beta", "output", "continuous", None),
+    *(Variable(f"v_{phase}", k, "input") for k, phase in enumerate("abc")),
+    *(Variable(f"i_{phase}", 3 + k, "output", start=None) for k, phase in enumerate("abc")),
+    *(Variable(name, 6 + k, "parameter", "fixed", start) for k, (name, start) in enumerate(_PARAMETERS.items())),
+    Variable("v_alpha", 10, "input"),
+    Variable("v_beta", 11, "input"),
+    Variable("i_alpha", 12, "output", start=None),
+    Variable("i_beta", 13, "output", start=None),
 ]
+
+ARRAYS = [Variable("v_abc", 20, "input", width=3), Variable("i_abc", 23, "output", start=None, width=3)]
+"""What FMI 3.0 has besides."""
 
 PARAMETERS = {
     "dt_s": 50e-6,
@@ -49,7 +54,7 @@ def compiler():
 @functools.cache
 def library(folder, defines):
     """The shared library of the box, compiled with ``defines``."""
-    cc, headers = compiler()
+    cc, _ = compiler()
     library = Path(folder) / f"box-{'-'.join(defines) or 'plain'}.so"
     flags = [
         "-O2",
@@ -59,38 +64,23 @@ def library(folder, defines):
         "-Wno-unused-parameter",
         "-shared",
         "-fPIC",
-        f"-I{headers}",
         *[f"-D{d}" for d in defines],
     ]
     subprocess.run([cc, *flags, "-o", library, SOURCE, "-lm"], check=True)
     return library
 
 
-def description(state=False, version="2.0", interface="CoSimulation", **attributes):
+def description(state=False, version="2.0", **attributes):
     """The text of a modelDescription.xml."""
-    flags = {"canGetAndSetFMUstate": str(state).lower(), "modelIdentifier": "box", **attributes}
-    written = " ".join(f'{name}="{value}"' for name, value in flags.items())
-    variables = []
-    for reference, (name, causality, variability, start) in enumerate(VARIABLES):
-        real = "<Real/>" if start is None else f'<Real start="{start}"/>'
-        variables.append(
-            f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
-            f'variability="{variability}">{real}</ScalarVariable>'
-        )
-    outputs = [k + 1 for k, variable in enumerate(VARIABLES) if variable[1] == "output"]
-    unknowns = "".join(f'<Unknown index="{k}"/>' for k in outputs)
-    return (
-        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="{version}" modelName="box" '
-        f'guid="{{4711}}" version="3"><{interface} {written}/><ModelVariables>{"".join(variables)}</ModelVariables>'
-        f"<ModelStructure><Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>"
-        "</fmiModelDescription>"
-    )
+    variables = VARIABLES if version == "2.0" else [*VARIABLES, *ARRAYS]
+    return described("box", variables, state, version, **attributes)
 
 
-def fmu(folder, *defines, name="box.fmu", platform="linux64"):
-    """An FMU in ``folder``, compiled with ``defines``; its path."""
+def fmu(folder, *defines, name="box.fmu"):
+    """An FMU in ``folder``, compiled with ``defines``, of the version 3.0 with FMI3; its path."""
     path = Path(folder) / name
+    version, platform = ("3.0", "x86_64-linux") if "FMI3" in defines else ("2.0", "linux64")
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("modelDescription.xml", description(state="STATE" in defines))
+        archive.writestr("modelDescription.xml", description("STATE" in defines, version))
         archive.write(library(str(folder), defines), f"binaries/{platform}/box.so")
     return path

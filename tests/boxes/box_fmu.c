@@ -1,21 +1,21 @@
-/* An FMI 2.0 co-simulation FMU for the tests, in several builds (-D):
+/* An FMU for co-simulation for the tests, FMI 2.0 or (-DFMI3) 3.0, in several builds (-D):
 
    CONVERTER       a grid-following converter: PLL, current control, inductor; else an R-L branch
    STATE           with get and set of its state
    HIDDEN          its state stands in statics, where no instance and no snapshot reaches it
 
    Real variables: 0-2 v_a v_b v_c, 3-5 i_a i_b i_c (load direction), 6 p_w, 7 fault, 8 after_s, 9 k_pll, 10 v_alpha,
-   11 v_beta, 12 i_alpha, 13 i_beta. From after_s on it misbehaves as `fault` says; fault -1: as p_w says, in MW. */
+   11 v_beta, 12 i_alpha, 13 i_beta; FMI 3.0 has the phases as arrays too. From after_s on it misbehaves as `fault` says; fault -1: as p_w says, in MW. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-#include "fmi2Functions.h"
+#include "fmi.h"
 
 #define THIRD 2.0943951023931953
-enum { OK, ERRS, PRINTS, SLEEPS, LEAKS, NANS, ABORTS, SEGFAULTS, DISCARDS, FATAL };
+enum { FINE, ERRS, PRINTS, SLEEPS, LEAKS, NANS, ABORTS, SEGFAULTS, DISCARDS, DIES };
 
 typedef struct {
     double r[16], i[3], theta, x_pll, x_d, x_q, t;
@@ -23,7 +23,8 @@ typedef struct {
 
 typedef struct {
     State s;
-    const fmi2CallbackFunctions *callbacks;
+    log_message logger;
+    void *environment;
     int broken; /* for good, after a fatal answer: whoever calls it then is told so */
 } Instance;
 
@@ -75,13 +76,13 @@ static void converter(State *s, double h) {
 
 static volatile int *volatile nowhere;
 
-static fmi2Status misbehave(Instance *c, State *s) {
+static status misbehave(Instance *c, State *s) {
     int fault = (int)(s->r[7] < 0 ? s->r[6] / 1e6 + 0.5 : s->r[7]);
-    if (s->t < s->r[8]) return fmi2OK;
+    if (s->t < s->r[8]) return OK;
     switch (fault) {
     case ERRS:
-        c->callbacks->logger(c->callbacks->componentEnvironment, "box", fmi2Error, "error", "theta left the circle");
-        return fmi2Error;
+        LOG(c->logger, c->environment, Error, "theta left the circle");
+        return Error;
     case PRINTS:
         printf("step at %g s: all is well, and here is a long line about it\n", s->t);
         break;
@@ -104,26 +105,25 @@ static fmi2Status misbehave(Instance *c, State *s) {
         *nowhere = 1;
         break;
     case DISCARDS:
-        return fmi2Discard;
-    case FATAL:
+        return Discard;
+    case DIES:
         c->broken = 1;
-        return fmi2Fatal;
+        return Fatal;
     }
-    return fmi2OK;
+    return OK;
 }
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean back) {
+static status step(Instance *c, double time, double size) {
     State *s = STATE_OF(c);
-    if (((Instance *)c)->broken) return fmi2Fatal;
-    (void)back;
-    s->t = t;
+    if (c->broken) return Fatal;
+    s->t = time;
     terminals(s);
 #ifdef CONVERTER
     (void)branch;
-    converter(s, h);
+    converter(s, size);
 #else
     (void)converter;
-    branch(s, h);
+    branch(s, size);
 #endif
     memcpy(s->r + 3, s->i, sizeof s->i);
     s->r[12] = 2.0 / 3.0 * (s->i[0] - 0.5 * s->i[1] - 0.5 * s->i[2]);
@@ -131,83 +131,70 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean back)
     return misbehave(c, s);
 }
 
-fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String where,
-                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
+static Instance *instance(log_message logger, void *environment) {
     Instance *c = calloc(1, sizeof *c);
-    (void)name, (void)type, (void)guid, (void)where, (void)visible, (void)logging;
-    c->callbacks = callbacks;
+    c->logger = logger;
+    c->environment = environment;
     begin(STATE_OF(c));
     return c;
 }
 
-void fmi2FreeInstance(fmi2Component c) { free(c); }
+DO_STEP(step((Instance *)c, time, size), false)
+INSTANTIATE(instance)
 
-fmi2Status fmi2Reset(fmi2Component c) {
+void FMI(FreeInstance)(void *c) { free(c); }
+
+int FMI(Reset)(void *c) {
 #ifndef HIDDEN /* the sloppy one forgets */
     begin(STATE_OF(c));
 #endif
     (void)c;
-    return fmi2OK;
+    return OK;
 }
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference at[], size_t n, fmi2Real x[]) {
-    for (size_t k = 0; k < n; k++) x[k] = STATE_OF(c)->r[at[k]];
-    return fmi2OK;
+/* One value each; an array by its first: v_abc and i_abc are the phases from reference 20 and 23 on. */
+static double *real(void *c, unsigned reference, size_t *n) {
+    *n = reference >= 20 ? 3 : 1;
+    return STATE_OF(c)->r + (reference >= 20 ? reference - 20 : reference);
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference at[], size_t n, const fmi2Real x[]) {
-    for (size_t k = 0; k < n; k++) STATE_OF(c)->r[at[k]] = x[k];
-    return fmi2OK;
+int NAMED(GetReal)(void *c, const unsigned at[], size_t n, double x[] VALUES) {
+    size_t width;
+    for (size_t k = 0; k < n; k++, x += width) {
+        const double *from = real(c, at[k], &width);
+        memcpy(x, from, width * sizeof *x);
+    }
+    return OK;
+}
+
+int NAMED(SetReal)(void *c, const unsigned at[], size_t n, const double x[] VALUES) {
+    size_t width;
+    for (size_t k = 0; k < n; k++, x += width) {
+        double *to = real(c, at[k], &width);
+        memcpy(to, x, width * sizeof *x);
+    }
+    return OK;
 }
 
 #ifdef STATE
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *to) {
+int NAMED(GetFMUstate)(void *c, void **to) {
     if (!*to) *to = malloc(sizeof(State));
     memcpy(*to, STATE_OF(c), sizeof(State));
-    return fmi2OK;
+    return OK;
 }
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate from) {
+int NAMED(SetFMUstate)(void *c, void *from) {
     memcpy(STATE_OF(c), from, sizeof(State));
-    return fmi2OK;
+    return OK;
 }
 #else
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *to) { return (void)c, (void)to, fmi2Error; }
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate from) { return (void)c, (void)from, fmi2Error; }
+int NAMED(GetFMUstate)(void *c, void **to) { return (void)c, (void)to, Error; }
+int NAMED(SetFMUstate)(void *c, void *from) { return (void)c, (void)from, Error; }
 #endif
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *from) {
+int NAMED(FreeFMUstate)(void *c, void **from) {
     (void)c;
     free(*from);
     *from = NULL;
-    return fmi2OK;
+    return OK;
 }
 
-/* what the standard wants to be there, and nobody here calls */
-#define NONE(name, ...) \
-    fmi2Status name(fmi2Component c, __VA_ARGS__) { return (void)c, fmi2OK; }
-#pragma GCC diagnostic ignored "-Wunused-parameter"
-const char *fmi2GetTypesPlatform(void) { return "default"; }
-const char *fmi2GetVersion(void) { return "2.0"; }
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return (void)c, fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return (void)c, fmi2OK; }
-fmi2Status fmi2Terminate(fmi2Component c) { return (void)c, fmi2OK; }
-fmi2Status fmi2CancelStep(fmi2Component c) { return (void)c, fmi2OK; }
-NONE(fmi2SetDebugLogging, fmi2Boolean a, size_t n, const fmi2String s[])
-NONE(fmi2SetupExperiment, fmi2Boolean a, fmi2Real b, fmi2Real t, fmi2Boolean d, fmi2Real e)
-NONE(fmi2GetInteger, const fmi2ValueReference v[], size_t n, fmi2Integer x[])
-NONE(fmi2SetInteger, const fmi2ValueReference v[], size_t n, const fmi2Integer x[])
-NONE(fmi2GetBoolean, const fmi2ValueReference v[], size_t n, fmi2Boolean x[])
-NONE(fmi2SetBoolean, const fmi2ValueReference v[], size_t n, const fmi2Boolean x[])
-NONE(fmi2GetString, const fmi2ValueReference v[], size_t n, fmi2String x[])
-NONE(fmi2SetString, const fmi2ValueReference v[], size_t n, const fmi2String x[])
-NONE(fmi2SerializedFMUstateSize, fmi2FMUstate f, size_t *n)
-NONE(fmi2SerializeFMUstate, fmi2FMUstate f, fmi2Byte b[], size_t n)
-NONE(fmi2DeSerializeFMUstate, const fmi2Byte b[], size_t n, fmi2FMUstate *f)
-NONE(fmi2GetDirectionalDerivative, const fmi2ValueReference a[], size_t n, const fmi2ValueReference b[], size_t m,
-     const fmi2Real d[], fmi2Real e[])
-NONE(fmi2SetRealInputDerivatives, const fmi2ValueReference v[], size_t n, const fmi2Integer o[], const fmi2Real x[])
-NONE(fmi2GetRealOutputDerivatives, const fmi2ValueReference v[], size_t n, const fmi2Integer o[], fmi2Real x[])
-NONE(fmi2GetStatus, const fmi2StatusKind s, fmi2Status *v)
-NONE(fmi2GetRealStatus, const fmi2StatusKind s, fmi2Real *v)
-NONE(fmi2GetIntegerStatus, const fmi2StatusKind s, fmi2Integer *v)
-NONE(fmi2GetBooleanStatus, const fmi2StatusKind s, fmi2Boolean *v)
-NONE(fmi2GetStringStatus, const fmi2StatusKind s, fmi2String *v)
+NONE(ExitInitializationMode) NONE(GetInteger) NONE(SetInteger) NONE(GetBoolean) NONE(SetBoolean) UNUSED

@@ -6,25 +6,7 @@
    the phases as arrays, by the reference of the first. */
 #include "turbine_controller.c"
 
-#ifdef FMI3
-#include "fmi3PlatformTypes.h"
-typedef enum { OK, Warning, Discard, Error, Fatal } status;
-typedef void (*log_message)(void *environment, status, const char *category, const char *message);
-#define FMI(name) fmi3##name
-#define VALUES , __attribute__((unused)) size_t n_values
-#else
-#include "fmi2TypesPlatform.h"
-typedef enum { OK, Warning, Discard, Error, Fatal, Pending } status;
-typedef void (*log_message)(void *environment, const char *name, status, const char *category, const char *message, ...);
-typedef struct {
-    log_message logger;
-    void *(*allocate)(size_t, size_t);
-    void (*release)(void *);
-    void *step_finished, *environment;
-} callbacks;
-#define FMI(name) fmi2##name
-#define VALUES
-#endif
+#include "fmi.h"
 
 typedef struct {
     inputs u;
@@ -80,11 +62,7 @@ static double *real(fmu *f, unsigned reference, size_t *n)
 static void say(fmu *f, status s)
 {
     const char *words = s > Warning ? f->t.error_message : f->t.general_message;
-#ifdef FMI3
-    f->logger(f->environment, s, "control", words ? words : "");
-#else
-    f->logger(f->environment, "control", s, "control", "%s", words ? words : "");
-#endif
+    LOG(f->logger, f->environment, s, words ? words : "");
 }
 
 static status initialized(fmu *f)
@@ -116,41 +94,13 @@ static status step(fmu *f, double time)
     return s;
 }
 
-#ifdef FMI3
-int FMI(DoStep)(void *c, double time, double size, bool back, bool *event, bool *end, bool *early, double *last)
-{
-    (void)back;
-    *event = *early = false;
-    *end = false;
-    *last = time + size;
 #ifdef FAULT_END
-    *end = time >= ((fmu *)c)->s.p.fault_time;
-#endif
-    return step(c, time);
-}
-
-void *FMI(InstantiateCoSimulation)(const char *name, const char *token, const char *where, bool visible, bool logging,
-                                   bool events, bool early, const unsigned *needed, size_t n, void *environment,
-                                   log_message logger, void *update)
-{
-    (void)name, (void)token, (void)where, (void)visible, (void)logging, (void)events, (void)early, (void)needed, (void)n;
-    (void)update;
-    return instance(logger, environment);
-}
+#define ENDS(c, time) ((time) >= ((fmu *)c)->s.p.fault_time)
 #else
-int FMI(DoStep)(void *c, double time, double size, int back)
-{
-    (void)size, (void)back;
-    return step(c, time);
-}
-
-void *FMI(Instantiate)(const char *name, int type, const char *guid, const char *where, const callbacks *of_host,
-                       int visible, int logging)
-{
-    (void)name, (void)type, (void)guid, (void)where, (void)visible, (void)logging;
-    return instance(of_host->logger, of_host->environment);
-}
+#define ENDS(c, time) false
 #endif
+DO_STEP(step((fmu *)c, time), ENDS(c, time))
+INSTANTIATE(instance)
 
 void FMI(FreeInstance)(void *c) { free(c); }
 
@@ -161,18 +111,6 @@ int FMI(Reset)(void *c)
     begin(c);
     return OK;
 }
-
-#ifdef FMI3
-#define SetReal SetFloat64
-#define GetReal GetFloat64
-#define SetInteger SetInt32
-#define INTEGER int32_t
-#define BOOLEAN bool
-#else
-#define INTEGER int
-#define BOOLEAN int
-#endif
-#define NAMED(name) FMI(name) /* expands the name first */
 
 int NAMED(SetReal)(void *c, const unsigned at[], size_t n, const double x[] VALUES)
 {
@@ -194,25 +132,19 @@ int NAMED(GetReal)(void *c, const unsigned at[], size_t n, double x[] VALUES)
     return OK;
 }
 
-int NAMED(SetInteger)(void *c, const unsigned at[], size_t n, const INTEGER x[] VALUES)
+int NAMED(SetInteger)(void *c, const unsigned at[], size_t n, const integer x[] VALUES)
 {
     (void)at, (void)n;
     ((fmu *)c)->s.p.delay = x[0];
     return OK;
 }
 
-int FMI(GetBoolean)(void *c, const unsigned at[], size_t n, BOOLEAN x[] VALUES)
+int FMI(GetBoolean)(void *c, const unsigned at[], size_t n, boolean x[] VALUES)
 {
     (void)at, (void)n;
     x[0] = ((fmu *)c)->s.y.limited != 0;
     return OK;
 }
-
-#ifdef FMI3
-#define GetFMUstate GetFMUState
-#define SetFMUstate SetFMUState
-#define FreeFMUstate FreeFMUState
-#endif
 
 int NAMED(GetFMUstate)(void *c, void **to)
 {
@@ -244,26 +176,4 @@ int NAMED(FreeFMUstate)(void *c, void **from)
     return OK;
 }
 
-/* What the standard wants to be there, and nobody here calls, or whose answer is all that counts. */
-#define NONE(name) \
-    int FMI(name)(void) { return OK; }
-NONE(GetVersion) NONE(SetDebugLogging) NONE(EnterInitializationMode) NONE(Terminate) NONE(GetString) NONE(SetString)
-NONE(SetBoolean) NONE(GetDirectionalDerivative)
-#ifdef FMI3
-NONE(InstantiateModelExchange) NONE(InstantiateScheduledExecution) NONE(EnterEventMode) NONE(GetFloat32) NONE(GetInt8)
-NONE(GetUInt8) NONE(GetInt16) NONE(GetUInt16) NONE(GetInt32) NONE(GetUInt32) NONE(GetInt64) NONE(GetUInt64)
-NONE(GetBinary) NONE(GetClock) NONE(SetFloat32) NONE(SetInt8) NONE(SetUInt8) NONE(SetInt16) NONE(SetUInt16)
-NONE(SetUInt32) NONE(SetInt64) NONE(SetUInt64) NONE(SetBinary) NONE(SetClock) NONE(GetNumberOfVariableDependencies)
-NONE(GetVariableDependencies) NONE(SerializedFMUStateSize) NONE(SerializeFMUState) NONE(DeserializeFMUState)
-NONE(GetAdjointDerivative) NONE(EnterConfigurationMode) NONE(ExitConfigurationMode) NONE(GetIntervalDecimal)
-NONE(GetIntervalFraction) NONE(GetShiftDecimal) NONE(GetShiftFraction) NONE(SetIntervalDecimal)
-NONE(SetIntervalFraction) NONE(SetShiftDecimal) NONE(SetShiftFraction) NONE(EvaluateDiscreteStates)
-NONE(UpdateDiscreteStates) NONE(EnterContinuousTimeMode) NONE(CompletedIntegratorStep) NONE(SetTime)
-NONE(SetContinuousStates) NONE(GetContinuousStateDerivatives) NONE(GetEventIndicators) NONE(GetContinuousStates)
-NONE(GetNominalsOfContinuousStates) NONE(GetNumberOfEventIndicators) NONE(GetNumberOfContinuousStates)
-NONE(EnterStepMode) NONE(GetOutputDerivatives) NONE(ActivateModelPartition)
-#else
-NONE(GetTypesPlatform) NONE(SetupExperiment) NONE(GetInteger) NONE(SerializedFMUstateSize) NONE(SerializeFMUstate)
-NONE(DeSerializeFMUstate) NONE(SetRealInputDerivatives) NONE(GetRealOutputDerivatives) NONE(CancelStep) NONE(GetStatus)
-NONE(GetRealStatus) NONE(GetIntegerStatus) NONE(GetBooleanStatus) NONE(GetStringStatus)
-#endif
+NONE(GetInteger) NONE(SetBoolean) UNUSED
