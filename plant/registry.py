@@ -35,6 +35,9 @@ _KINDS = {
 }
 """Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""
 
+_SIGNAL_MAP = ("inputs", "outputs")
+"""Parameters of a controller in a circuit, which no device has."""
+
 _BLACK_BOXES: set[str] = set()
 """Registered ids whose plants load foreign code."""
 
@@ -314,6 +317,11 @@ def _refuse_unfit(plant_id: str, factory: Any, arguments: Mapping[str, Any]) -> 
 
 def _refuse_unknown(plant_id: str, known: Sequence[str], arguments: Iterable[str]) -> None:
     for name in arguments:
+        if name in _SIGNAL_MAP and plant_id.startswith("fmu:") and name not in known:
+            raise PlantError(
+                f"{plant_id} is a whole device and has no parameter {name!r}; a controller with a signal map goes into "
+                f'the turbine\'s circuit: id = "dpmsg-grey-v1", and controller = "{plant_id}" among its parameters'
+            )
         if name not in known:
             raise PlantError(
                 f"{plant_id} has no parameter {name!r}{_did_you_mean(name, known)}; it has {', '.join(known) or 'none'}"

@@ -144,7 +144,8 @@ def _fmu(path: Path) -> Iterator[str]:
         yield from _listed(f"{causality}s", [_variable(v) for v in named])
     libraries = [m.name for m in members if m.name.startswith("binaries/") and "/" in m.name[9:]]
     yield from _listed("would be loaded and executed, in a child process, of", libraries or ["no binary: it has none"])
-    yield f'  to drive it: a campaign with [plant] id = "fmu:{path}" and [plant.parameters]; then'
+    yield f'  to drive it: a campaign with [plant] id = "fmu:{path}", or, if it is a controller for the turbine\'s'
+    yield f'  circuit, id = "dpmsg-grey-v1", controller = "fmu:{path}", and [plant.parameters]; then'
     yield "  seqsweep check CAMPAIGN.toml"
 
 

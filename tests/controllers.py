@@ -51,6 +51,19 @@ OUTPUTS_2 = {f"u_{phase}": f"v_conv_{phase}" for phase in "abc"}
 """The signal map of an FMU after FMI 2.0, which has no arrays; one after FMI 3.0 has the ports of a library."""
 
 
+DEFAULTS = {
+    "Kpp": 0.085,
+    "Kpi": 32.0,
+    "Kp": 0.25,
+    "Ki": 355.0,
+    "Krd": 0.0471,
+    "Kdcp": 0.5,
+    "Kdci": 5.0,
+    "Imax": 2838.26,
+    "Lead": 0.5,
+}
+
+
 def build_fmu(*switches: str) -> Path:
     """The same controls as an FMU, of the version 3.0 with the switch FMI3; once a test run."""
     pytest.importorskip("fmpy", reason="the extra 'fmu' is not installed")
@@ -83,7 +96,6 @@ def _variables(third: bool, switches: tuple[str, ...]) -> list[Variable]:
     ]
     if "FAULT_WIDTH" in switches:
         given = [variable._replace(width=2) for variable in given]
-    parameters = ("Kpp", "Kpi", "Kp", "Ki", "Krd", "Kdcp", "Kdci", "Imax", "Lead")
     return [
         *told,
         Variable("v_dc", 6, "input", unit="V"),
@@ -91,7 +103,7 @@ def _variables(third: bool, switches: tuple[str, ...]) -> list[Variable]:
         *given,
         Variable("limited", 11, "output", "discrete", None, "calculated", kind="truth"),
         Variable("angle", 12, "output", "continuous", None, "calculated", "rad"),
-        *(Variable(name, 20 + k, "parameter", "fixed", initial="exact") for k, name in enumerate(parameters)),
+        *(Variable(name, 20 + k, "parameter", "fixed", v, "exact") for k, (name, v) in enumerate(DEFAULTS.items())),
         Variable("Delay", 29, "parameter", "fixed", initial="exact", kind="whole"),
-        Variable("FaultTime", 30, "parameter", "fixed", initial="exact"),
+        Variable("FaultTime", 30, "parameter", "fixed", 1e30, "exact"),
     ]

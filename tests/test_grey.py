@@ -338,12 +338,12 @@ def test_the_host_costs_at_most_a_third_of_a_microsecond_a_step():
         begun = time.process_time()
         device.run_phasors([Job(state, TONE)], [Window(77.0, 100)], 1000, n_steps // 1000)
         whole.append((time.process_time() - begun) / n_steps * 1e6)
-        alone.append(_alone_us(function, argument, n_steps))
+        alone.append(alone_us(function, argument, n_steps))
     print(f"\n  {min(whole):.3f} us a step, of which the library's own code {min(alone):.3f} us", end="")
     assert min(whole) - min(alone) <= 0.3
 
 
-def _alone_us(function, argument, n_steps):
+def alone_us(function, argument, n_steps):
     """Price of one bare call from a compiled loop (us)."""
     from numba import njit
 
