@@ -1,9 +1,10 @@
 """Snapshots by fork: a box that can only go forwards is settled once and branched many times.
 
-A position is the *way* to it: the actions taken since the box was built. Every position that was
-reached is a process that waits there; to go on from it, it is forked, and the fork acts. So hidden
-statics, files in memory and heaps branch along, and a crash costs one branch. Where a position was let go,
-the way is gone again from the nearest one that is left: slower, the same answer.
+A position is the *way* to it: the actions taken since the box was built. A position that was reached is a
+process that waits there. From where branches begin, a fork of it goes on and it stays: hidden statics, files in
+memory and heaps branch along, and a crash costs one branch. A branch itself goes on in its own process, which
+leaves the position behind: forks are dear, and hardly anybody comes back. Where a position was left or let go, the
+way is gone again from the nearest one that is left: slower, the same answer; then it stays.
 
     this process -- nursery (no threads, adopts the forks) -- one process per position
 
@@ -12,6 +13,7 @@ Linux. A box with threads of its own cannot be forked.
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import signal
@@ -20,6 +22,7 @@ import sys
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing import reduction
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -31,6 +34,9 @@ T = TypeVar("T")
 
 MOST_KEPT = 24
 """Positions kept as processes; the one that was not needed for longest goes first."""
+
+BRANCHED_FROM = 1
+"""Positions up to so many actions stay where they are: the cold start and, after one, the settled box."""
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -69,7 +75,7 @@ class Forks:
         self._nursery: tuple[subprocess.Popen[bytes], Connection] | None = None
 
     def act(self, way: Way, action: Action) -> Any:
-        """The answer of ``action`` at the end of ``way``; the position behind it is kept.
+        """The answer of ``action`` at the end of ``way``; a process then waits behind it.
 
         Raises
         ------
@@ -135,10 +141,17 @@ class _Raised(NamedTuple):
 
 
 class _Keeper(NamedTuple):
-    """A process that waits at a position."""
+    """A process that waits at a position; forks go on from one that stays."""
 
     pid: int
     channel: Connection
+    stays: bool
+
+
+class _Fork(NamedTuple):
+    """What a keeper is asked for beside actions; process ``nursery`` adopts the fork."""
+
+    nursery: int
 
 
 class _Nursery:
@@ -153,7 +166,7 @@ class _Nursery:
     def act(self, way: Way, action: Action) -> bytes:
         """The pickled answer of ``action`` at the end of ``way``."""
         self._go(way)
-        return self._branch(way, action)
+        return self._go_on(way, action)
 
     def _go(self, way: Way) -> None:
         """Have a process wait at the end of ``way``, from the nearest one that is there."""
@@ -161,45 +174,50 @@ class _Nursery:
         if nearest == 0 and () not in self._kept:
             self._begin()
         for n in range(nearest, len(way)):
-            pickle.loads(self._branch(way[:n], way[n])).value()
+            pickle.loads(self._go_on(way[:n], way[n])).value()
+        if nearest < len(way):  # it is asked for again: somebody branches here
+            self._kept[way] = self._kept[way]._replace(stays=True)
         self._kept.move_to_end(way)
 
     def _begin(self) -> None:
         ours, theirs = Pipe()
+        gc.freeze()
         if os.fork() == 0:
             ours.close()
             die_with_parent(os.getppid())
             theirs.send(os.getpid())
             _keep(_told(theirs, self._build, lambda box: None), theirs)
         theirs.close()
-        pickle.loads(self._welcome((), ours)).value()
+        pickle.loads(self._hear((), _welcome(ours))).value()
 
-    def _branch(self, way: Way, action: Action) -> bytes:
+    def _go_on(self, way: Way, action: Action) -> bytes:
+        goes = self._forked(way) if self._kept[way].stays else self._kept.pop(way)
+        with suppress(ConnectionError):  # it is dead: nothing will be heard of it either
+            goes.channel.send(action)
+        return self._hear((*way, action), goes)
+
+    def _forked(self, way: Way) -> _Keeper:
         keeper = self._kept[way]
         ours, theirs = Pipe()
         try:
-            keeper.channel.send((os.getpid(), action))
+            keeper.channel.send(_Fork(os.getpid()))
             reduction.send_handle(keeper.channel, theirs.fileno(), keeper.pid)
         except ConnectionError:
             del self._kept[way]
             raise BoxDied(f"the box died: {_ending(keeper.pid)}") from None
         theirs.close()
-        return self._welcome((*way, action), ours)
+        return _welcome(ours)
 
-    def _welcome(self, way: Way, channel: Connection) -> bytes:
-        """Hear what the newcomer has to say, and keep it if it has an answer."""
+    def _hear(self, way: Way, goes: _Keeper) -> bytes:
+        """Hear what a process says of its action, and keep it at the end of ``way`` if it has an answer."""
         try:
-            pid = channel.recv()
-        except EOFError:
-            raise BoxDied("the box could not be forked") from None
-        try:
-            stays, said = channel.recv(), channel.recv_bytes()
+            answers, said = goes.channel.recv(), goes.channel.recv_bytes()
         except (EOFError, ConnectionError):
-            raise BoxDied(f"the box died: {_ending(pid)}") from None
-        if stays:
-            self._keep(way, _Keeper(pid, channel))
+            raise BoxDied(f"the box died: {_ending(goes.pid)}") from None
+        if answers:
+            self._keep(way, goes._replace(stays=len(way) <= BRANCHED_FROM))
         else:
-            _ending(pid)
+            _ending(goes.pid)
         return said
 
     def _keep(self, way: Way, keeper: _Keeper) -> None:
@@ -214,6 +232,14 @@ class _Nursery:
         os.kill(keeper.pid, signal.SIGKILL)
         os.waitpid(keeper.pid, 0)
         keeper.channel.close()
+
+
+def _welcome(channel: Connection) -> _Keeper:
+    """The process that has just begun at the other end."""
+    try:
+        return _Keeper(channel.recv(), channel, stays=False)
+    except EOFError:
+        raise BoxDied("the box could not be forked") from None
 
 
 def _ending(pid: int) -> str:
@@ -244,19 +270,20 @@ def main() -> None:
 
 
 def _keep(box: Any, channel: Connection) -> None:
-    """Wait at a position; whatever is asked is done by a fork, which then waits at its own."""
+    """Wait at a position; go on from it, or let a fork begin there."""
     while True:
         try:
-            nursery, action = channel.recv()
-            descriptor = reduction.recv_handle(channel)
+            asked = channel.recv()
+            if not isinstance(asked, _Fork):
+                _told(channel, lambda: asked(box), lambda answer: answer)  # noqa: B023 - called at once
+                continue
+            theirs = Connection(reduction.recv_handle(channel))
         except EOFError:
             os._exit(0)
-        theirs = Connection(descriptor)
-        if _forked(nursery):
+        if _forked(asked.nursery):
             channel.close()
             channel = theirs
             channel.send(os.getpid())
-            _told(channel, lambda: action(box), lambda answer: answer)  # noqa: B023 - called at once
         else:
             theirs.close()
 
@@ -279,6 +306,7 @@ def _told(channel: Connection, what: Callable[[], T], tell: Callable[[T], Any]) 
 
 def _forked(nursery: int) -> bool:
     """Fork, twice: the process in between ends at once, and the nursery adopts the fork."""
+    gc.freeze()  # collecting what is there already would copy its pages
     between = os.fork()
     if between:
         os.waitpid(between, 0)

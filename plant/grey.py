@@ -35,8 +35,8 @@ CIRCUIT = ("u_rated_v", "s_rated_va", "w1_rad_s", "l_c_h", "r_f_ohm", "c_f_f", "
 SNAPSHOTS = ("auto", "states", "fork", "copy")
 """How a state is kept: found out, as the declared arrays, as a process, or by going the way again in a fresh copy."""
 
-POSITIONS_KEPT = 72
-"""Processes at positions: two for each shot of a batch, where it is and where it was, and some to spare."""
+POSITIONS_KEPT = 104
+"""Processes at positions: one for each shot of the largest batch, and some to spare."""
 
 PROBE_PU = 0.02
 """Peak of the perturbation that tells whether the declared states are all there are."""
