@@ -6,7 +6,9 @@ memory and heaps branch along, and a crash costs one branch. A branch itself goe
 leaves the position behind: forks are dear, and hardly anybody comes back. Where a position was left or let go, the
 way is gone again from the nearest one that is left: slower, the same answer; then it stays.
 
-    this process -- nursery (no threads, adopts the forks) -- one process per position
+    this process -- nursery (no threads) -- cold start -- settled box -- one process per branch
+
+Each dies with the one before it, so that none is left behind; a position that is let go takes its branches along.
 
 Linux. A box with threads of its own cannot be forked.
 """
@@ -19,7 +21,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
@@ -141,17 +142,22 @@ class _Raised(NamedTuple):
 
 
 class _Keeper(NamedTuple):
-    """A process that waits at a position; forks go on from one that stays."""
+    """A process that waits at a position; forks go on from one that stays. ``parent`` leads to where it was forked."""
 
     pid: int
     channel: Connection
+    parent: Connection | None
     stays: bool
 
 
 class _Fork(NamedTuple):
-    """What a keeper is asked for beside actions; process ``nursery`` adopts the fork."""
+    """What a keeper that stays is asked for: a fork, at the other end of a pipe that follows."""
 
-    nursery: int
+
+class _Bury(NamedTuple):
+    """What it is asked for when a fork of its has ended: the exit status."""
+
+    pid: int
 
 
 class _Nursery:
@@ -178,6 +184,8 @@ class _Nursery:
         if nearest < len(way):  # it is asked for again: somebody branches here
             self._kept[way] = self._kept[way]._replace(stays=True)
         self._kept.move_to_end(way)
+        if way[:BRANCHED_FROM] in self._kept:  # needed for as long as its branches are
+            self._kept.move_to_end(way[:BRANCHED_FROM])
 
     def _begin(self) -> None:
         ours, theirs = Pipe()
@@ -188,7 +196,7 @@ class _Nursery:
             theirs.send(os.getpid())
             _keep(_told(theirs, self._build, lambda box: None), theirs)
         theirs.close()
-        pickle.loads(self._hear((), _welcome(ours))).value()
+        pickle.loads(self._hear((), _welcome(ours, None))).value()
 
     def _go_on(self, way: Way, action: Action) -> bytes:
         goes = self._forked(way) if self._kept[way].stays else self._kept.pop(way)
@@ -200,52 +208,66 @@ class _Nursery:
         keeper = self._kept[way]
         ours, theirs = Pipe()
         try:
-            keeper.channel.send(_Fork(os.getpid()))
+            keeper.channel.send(_Fork())
             reduction.send_handle(keeper.channel, theirs.fileno(), keeper.pid)
         except ConnectionError:
             del self._kept[way]
-            raise BoxDied(f"the box died: {_ending(keeper.pid)}") from None
+            died = _ending(keeper)
+            self._end(way)
+            raise BoxDied(f"the box died: {died}") from None
         theirs.close()
-        return _welcome(ours)
+        return _welcome(ours, keeper.channel)
 
     def _hear(self, way: Way, goes: _Keeper) -> bytes:
         """Hear what a process says of its action, and keep it at the end of ``way`` if it has an answer."""
         try:
             answers, said = goes.channel.recv(), goes.channel.recv_bytes()
         except (EOFError, ConnectionError):
-            raise BoxDied(f"the box died: {_ending(goes.pid)}") from None
+            raise BoxDied(f"the box died: {_ending(goes)}") from None
         if answers:
             self._keep(way, goes._replace(stays=len(way) <= BRANCHED_FROM))
         else:
-            _ending(goes.pid)
+            _buried(goes)
         return said
 
     def _keep(self, way: Way, keeper: _Keeper) -> None:
         if way in self._kept:
             self._end(way)
         self._kept[way] = keeper
-        while len(self._kept) > self._most + 1:  # the cold start stays
-            self._end(next(way for way in self._kept if way))
+        while len(self._kept) > self._most + 1:
+            if (gone := next((other for other in self._kept if way[: len(other)] != other), None)) is None:
+                return  # the way to the newcomer stays, from the cold start on
+            self._end(gone)
 
     def _end(self, way: Way) -> None:
-        keeper = self._kept.pop(way)
-        os.kill(keeper.pid, signal.SIGKILL)
-        os.waitpid(keeper.pid, 0)
-        keeper.channel.close()
+        """Let a position go, and the branches that begin there: their processes end with it."""
+        for gone in [other for other in self._kept if other[: len(way)] == way]:
+            keeper = self._kept.pop(gone)
+            os.kill(keeper.pid, signal.SIGKILL)
+            _buried(keeper)
+            keeper.channel.close()
 
 
-def _welcome(channel: Connection) -> _Keeper:
+def _welcome(channel: Connection, parent: Connection | None) -> _Keeper:
     """The process that has just begun at the other end."""
     try:
-        return _Keeper(channel.recv(), channel, stays=False)
+        return _Keeper(channel.recv(), channel, parent, stays=False)
     except EOFError:
         raise BoxDied("the box could not be forked") from None
 
 
-def _ending(pid: int) -> str:
+def _ending(keeper: _Keeper) -> str:
     """How a process ended, and its last words: it shares standard error with this one."""
-    _, status = os.waitpid(pid, 0)
-    return how_it_ended(os.waitstatus_to_exitcode(status), Path("/proc/self/fd/2"))
+    return how_it_ended(os.waitstatus_to_exitcode(_buried(keeper)), Path("/proc/self/fd/2"))
+
+
+def _buried(keeper: _Keeper) -> int:
+    """The exit status of a process that ends; its parent knows, or, where that is gone, this process."""
+    if keeper.parent is not None and not keeper.parent.closed:
+        with suppress(EOFError, ConnectionError):
+            keeper.parent.send(_Bury(keeper.pid))
+            return int(keeper.parent.recv())
+    return os.waitpid(keeper.pid, 0)[1]
 
 
 def main() -> None:
@@ -274,18 +296,27 @@ def _keep(box: Any, channel: Connection) -> None:
     while True:
         try:
             asked = channel.recv()
-            if not isinstance(asked, _Fork):
+            if isinstance(asked, _Fork):
+                channel = _forked(channel, Connection(reduction.recv_handle(channel)))
+            elif isinstance(asked, _Bury):
+                channel.send(os.waitpid(asked.pid, 0)[1])
+            else:
                 _told(channel, lambda: asked(box), lambda answer: answer)  # noqa: B023 - called at once
-                continue
-            theirs = Connection(reduction.recv_handle(channel))
         except EOFError:
             os._exit(0)
-        if _forked(asked.nursery):
-            channel.close()
-            channel = theirs
-            channel.send(os.getpid())
-        else:
-            theirs.close()
+
+
+def _forked(channel: Connection, theirs: Connection) -> Connection:
+    """Fork; the channel that each of the two goes on with."""
+    gc.freeze()  # collecting what is there already would copy its pages
+    parent = os.getpid()
+    if os.fork():
+        theirs.close()
+        return channel
+    die_with_parent(parent)
+    channel.close()
+    theirs.send(os.getpid())
+    return theirs
 
 
 def _told(channel: Connection, what: Callable[[], T], tell: Callable[[T], Any]) -> T:
@@ -302,21 +333,6 @@ def _told(channel: Connection, what: Callable[[], T], tell: Callable[[T], Any]) 
     channel.send(True)
     channel.send_bytes(_pickled(_Answer(tell(answer))))
     return answer
-
-
-def _forked(nursery: int) -> bool:
-    """Fork, twice: the process in between ends at once, and the nursery adopts the fork."""
-    gc.freeze()  # collecting what is there already would copy its pages
-    between = os.fork()
-    if between:
-        os.waitpid(between, 0)
-        return False
-    if os.fork():
-        os._exit(0)
-    while os.getppid() != nursery:
-        time.sleep(1e-5)
-    die_with_parent(nursery)
-    return True
 
 
 def _pickled(answer: _Answer | _Raised) -> bytes:

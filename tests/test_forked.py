@@ -155,6 +155,25 @@ def test_a_position_that_was_left_is_reached_again_once_and_then_stays(forks, tm
     assert book.read_text() == "xx"
 
 
+def test_a_settled_box_that_is_let_go_takes_its_branches_along_and_comes_back(forks):
+    first = [forks.act((), Add(1))[2], forks.act((Add(1),), Add(2))[2]]
+    for k in (10, 20, 30):
+        for way in ((), (Add(k),)):
+            forks.act(way, Add(k))
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first), 5.0)  # nor a zombie
+    assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
+
+
+def test_a_settled_box_that_is_killed_is_settled_again(forks):
+    """As the memory killer would: who was asked for next is told, and no branch of it is asked in vain thereafter."""
+    settled, branch = forks.act((), Add(1))[2], forks.act((Add(1),), Add(2))[2]
+    os.kill(settled, signal.SIGKILL)
+    wait_for(lambda: not alive(branch), 5.0)
+    with pytest.raises(BoxDied, match=r"^the box died: SIGKILL"):
+        forks.act((Add(1),), Add(3))
+    assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
+
+
 def test_what_was_there_before_a_fork_is_not_collected_in_it(forks):
     """A collection writes to every object it looks at, and a fork would have to copy all of them."""
     looked_at, left_alone = forks.act((Add(1),), LooksAtTheCollector())
