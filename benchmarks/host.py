@@ -9,7 +9,6 @@ cost is a loop in C over the same functions. Figures are CPU time, so that neigh
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -147,6 +146,7 @@ def _cpu_s(campaign: Path, path: Path) -> float:
     from seqsweep.sweep.config import load_config
     from seqsweep.sweep.measure import measure
     from seqsweep.sweep.plan import make_plan
+    from tests.commands import family_s
     from tests.fmus import PARAMETERS
 
     plant: Any = fmu_plant(str(path), **PARAMETERS)
@@ -156,19 +156,7 @@ def _cpu_s(campaign: Path, path: Path) -> float:
         measure(plant, plan, batch)
     own = time.process_time() - begin
     nursery = getattr(plant._branches, "_nursery", None)
-    return own + (_family_s(nursery[0].pid) if nursery else 0.0)
-
-
-def _family_s(pid: int) -> float:
-    """CPU time (s) of a process, the children it has buried and those it has."""
-    total = 0
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        fields = stat.read_text().rpartition(")")[2].split()
-        if stat.parent.name == str(pid):
-            total += sum(int(field) for field in fields[11:15])
-        elif fields[1] == str(pid):
-            total += sum(int(field) for field in fields[11:13])
-    return total / os.sysconf("SC_CLK_TCK")
+    return own + (family_s(nursery[0].pid) if nursery else 0.0)
 
 
 if __name__ == "__main__":

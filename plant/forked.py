@@ -1,25 +1,29 @@
 """Snapshots by fork: a box that can only go forwards is settled once and branched many times.
 
-A position is the *way* to it: the actions taken since the box was built. Every position that was
-reached is a process that waits there; to go on from it, it is forked, and the fork acts. So hidden
-statics, files in memory and heaps branch along, and a crash costs one branch. Where a position was let go,
-the way is gone again from the nearest one that is left: slower, the same answer.
+A position is the *way* to it: the actions taken since the box was built. A position that was reached is a
+process that waits there. From where branches begin, a fork of it goes on and it stays: hidden statics, files in
+memory and heaps branch along, and a crash costs one branch. A branch itself goes on in its own process, which
+leaves the position behind: forks are dear, and hardly anybody comes back. Where a position was left or let go, the
+way is gone again from the nearest one that is left: slower, the same answer; then it stays.
 
-    this process -- nursery (no threads, adopts the forks) -- one process per position
+    this process -- nursery (no threads) -- cold start -- settled box -- one process per branch
+
+Each dies with the one before it, so that none is left behind; a position that is let go takes its branches along.
 
 Linux. A box with threads of its own cannot be forked.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import signal
 import subprocess
 import sys
-import time
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing import reduction
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -31,6 +35,9 @@ T = TypeVar("T")
 
 MOST_KEPT = 24
 """Positions kept as processes; the one that was not needed for longest goes first."""
+
+BRANCHED_FROM = 1
+"""Positions up to so many actions stay where they are: the cold start and, after one, the settled box."""
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -69,7 +76,7 @@ class Forks:
         self._nursery: tuple[subprocess.Popen[bytes], Connection] | None = None
 
     def act(self, way: Way, action: Action) -> Any:
-        """The answer of ``action`` at the end of ``way``; the position behind it is kept.
+        """The answer of ``action`` at the end of ``way``; a process then waits behind it.
 
         Raises
         ------
@@ -135,10 +142,22 @@ class _Raised(NamedTuple):
 
 
 class _Keeper(NamedTuple):
-    """A process that waits at a position."""
+    """A process that waits at a position; forks go on from one that stays. ``parent`` leads to where it was forked."""
 
     pid: int
     channel: Connection
+    parent: Connection | None
+    stays: bool
+
+
+class _Fork(NamedTuple):
+    """What a keeper that stays is asked for: a fork, at the other end of a pipe that follows."""
+
+
+class _Bury(NamedTuple):
+    """What it is asked for when a fork of its has ended: the exit status."""
+
+    pid: int
 
 
 class _Nursery:
@@ -153,7 +172,7 @@ class _Nursery:
     def act(self, way: Way, action: Action) -> bytes:
         """The pickled answer of ``action`` at the end of ``way``."""
         self._go(way)
-        return self._branch(way, action)
+        return self._go_on(way, action)
 
     def _go(self, way: Way) -> None:
         """Have a process wait at the end of ``way``, from the nearest one that is there."""
@@ -161,65 +180,94 @@ class _Nursery:
         if nearest == 0 and () not in self._kept:
             self._begin()
         for n in range(nearest, len(way)):
-            pickle.loads(self._branch(way[:n], way[n])).value()
+            pickle.loads(self._go_on(way[:n], way[n])).value()
+        if nearest < len(way):  # it is asked for again: somebody branches here
+            self._kept[way] = self._kept[way]._replace(stays=True)
         self._kept.move_to_end(way)
+        if way[:BRANCHED_FROM] in self._kept:  # needed for as long as its branches are
+            self._kept.move_to_end(way[:BRANCHED_FROM])
 
     def _begin(self) -> None:
         ours, theirs = Pipe()
+        gc.freeze()
         if os.fork() == 0:
             ours.close()
             die_with_parent(os.getppid())
             theirs.send(os.getpid())
             _keep(_told(theirs, self._build, lambda box: None), theirs)
         theirs.close()
-        pickle.loads(self._welcome((), ours)).value()
+        pickle.loads(self._hear((), _welcome(ours, None))).value()
 
-    def _branch(self, way: Way, action: Action) -> bytes:
+    def _go_on(self, way: Way, action: Action) -> bytes:
+        goes = self._forked(way) if self._kept[way].stays else self._kept.pop(way)
+        with suppress(ConnectionError):  # it is dead: nothing will be heard of it either
+            goes.channel.send(action)
+        return self._hear((*way, action), goes)
+
+    def _forked(self, way: Way) -> _Keeper:
         keeper = self._kept[way]
         ours, theirs = Pipe()
         try:
-            keeper.channel.send((os.getpid(), action))
+            keeper.channel.send(_Fork())
             reduction.send_handle(keeper.channel, theirs.fileno(), keeper.pid)
         except ConnectionError:
             del self._kept[way]
-            raise BoxDied(f"the box died: {_ending(keeper.pid)}") from None
+            died = _ending(keeper)
+            self._end(way)
+            raise BoxDied(f"the box died: {died}") from None
         theirs.close()
-        return self._welcome((*way, action), ours)
+        return _welcome(ours, keeper.channel)
 
-    def _welcome(self, way: Way, channel: Connection) -> bytes:
-        """Hear what the newcomer has to say, and keep it if it has an answer."""
+    def _hear(self, way: Way, goes: _Keeper) -> bytes:
+        """Hear what a process says of its action, and keep it at the end of ``way`` if it has an answer."""
         try:
-            pid = channel.recv()
-        except EOFError:
-            raise BoxDied("the box could not be forked") from None
-        try:
-            stays, said = channel.recv(), channel.recv_bytes()
+            answers, said = goes.channel.recv(), goes.channel.recv_bytes()
         except (EOFError, ConnectionError):
-            raise BoxDied(f"the box died: {_ending(pid)}") from None
-        if stays:
-            self._keep(way, _Keeper(pid, channel))
+            raise BoxDied(f"the box died: {_ending(goes)}") from None
+        if answers:
+            self._keep(way, goes._replace(stays=len(way) <= BRANCHED_FROM))
         else:
-            _ending(pid)
+            _buried(goes)
         return said
 
     def _keep(self, way: Way, keeper: _Keeper) -> None:
         if way in self._kept:
             self._end(way)
         self._kept[way] = keeper
-        while len(self._kept) > self._most + 1:  # the cold start stays
-            self._end(next(way for way in self._kept if way))
+        while len(self._kept) > self._most + 1:
+            if (gone := next((other for other in self._kept if way[: len(other)] != other), None)) is None:
+                return  # the way to the newcomer stays, from the cold start on
+            self._end(gone)
 
     def _end(self, way: Way) -> None:
-        keeper = self._kept.pop(way)
-        os.kill(keeper.pid, signal.SIGKILL)
-        os.waitpid(keeper.pid, 0)
-        keeper.channel.close()
+        """Let a position go, and the branches that begin there: their processes end with it."""
+        for gone in [other for other in self._kept if other[: len(way)] == way]:
+            keeper = self._kept.pop(gone)
+            os.kill(keeper.pid, signal.SIGKILL)
+            _buried(keeper)
+            keeper.channel.close()
 
 
-def _ending(pid: int) -> str:
+def _welcome(channel: Connection, parent: Connection | None) -> _Keeper:
+    """The process that has just begun at the other end."""
+    try:
+        return _Keeper(channel.recv(), channel, parent, stays=False)
+    except EOFError:
+        raise BoxDied("the box could not be forked") from None
+
+
+def _ending(keeper: _Keeper) -> str:
     """How a process ended, and its last words: it shares standard error with this one."""
-    _, status = os.waitpid(pid, 0)
-    return how_it_ended(os.waitstatus_to_exitcode(status), Path("/proc/self/fd/2"))
+    return how_it_ended(os.waitstatus_to_exitcode(_buried(keeper)), Path("/proc/self/fd/2"))
+
+
+def _buried(keeper: _Keeper) -> int:
+    """The exit status of a process that ends; its parent knows, or, where that is gone, this process."""
+    if keeper.parent is not None and not keeper.parent.closed:
+        with suppress(EOFError, ConnectionError):
+            keeper.parent.send(_Bury(keeper.pid))
+            return int(keeper.parent.recv())
+    return os.waitpid(keeper.pid, 0)[1]
 
 
 def main() -> None:
@@ -244,21 +292,31 @@ def main() -> None:
 
 
 def _keep(box: Any, channel: Connection) -> None:
-    """Wait at a position; whatever is asked is done by a fork, which then waits at its own."""
+    """Wait at a position; go on from it, or let a fork begin there."""
     while True:
         try:
-            nursery, action = channel.recv()
-            descriptor = reduction.recv_handle(channel)
+            asked = channel.recv()
+            if isinstance(asked, _Fork):
+                channel = _forked(channel, Connection(reduction.recv_handle(channel)))
+            elif isinstance(asked, _Bury):
+                channel.send(os.waitpid(asked.pid, 0)[1])
+            else:
+                _told(channel, lambda: asked(box), lambda answer: answer)  # noqa: B023 - called at once
         except EOFError:
             os._exit(0)
-        theirs = Connection(descriptor)
-        if _forked(nursery):
-            channel.close()
-            channel = theirs
-            channel.send(os.getpid())
-            _told(channel, lambda: action(box), lambda answer: answer)  # noqa: B023 - called at once
-        else:
-            theirs.close()
+
+
+def _forked(channel: Connection, theirs: Connection) -> Connection:
+    """Fork; the channel that each of the two goes on with."""
+    gc.freeze()  # collecting what is there already would copy its pages
+    parent = os.getpid()
+    if os.fork():
+        theirs.close()
+        return channel
+    die_with_parent(parent)
+    channel.close()
+    theirs.send(os.getpid())
+    return theirs
 
 
 def _told(channel: Connection, what: Callable[[], T], tell: Callable[[T], Any]) -> T:
@@ -275,20 +333,6 @@ def _told(channel: Connection, what: Callable[[], T], tell: Callable[[T], Any]) 
     channel.send(True)
     channel.send_bytes(_pickled(_Answer(tell(answer))))
     return answer
-
-
-def _forked(nursery: int) -> bool:
-    """Fork, twice: the process in between ends at once, and the nursery adopts the fork."""
-    between = os.fork()
-    if between:
-        os.waitpid(between, 0)
-        return False
-    if os.fork():
-        os._exit(0)
-    while os.getppid() != nursery:
-        time.sleep(1e-5)
-    die_with_parent(nursery)
-    return True
 
 
 def _pickled(answer: _Answer | _Raised) -> bytes:

@@ -41,8 +41,8 @@ _FALLBACK = "fork" if sys.platform == "linux" else "copy"
 
 LONGEST_SAMPLE_S = 1e-3
 
-POSITIONS_KEPT = 72
-"""Processes at positions: two for each shot of a batch, where it is and where it was, and some to spare."""
+POSITIONS_KEPT = 104
+"""Processes at positions: one for each shot of the largest batch, and some to spare."""
 
 PROBE_PU = 0.02
 """Peak of the perturbation that tells whether the declared states are all there are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import threading
@@ -70,6 +71,25 @@ class Sleeps:
         time.sleep(60.0)
 
 
+@dataclass(frozen=True)
+class Notes:
+    """Note down that it was done."""
+
+    book: str
+
+    def __call__(self, box):
+        with open(self.book, "a") as file:
+            file.write("x")
+
+
+@dataclass(frozen=True)
+class LooksAtTheCollector:
+    """How many objects are ever looked at again, and how many are not."""
+
+    def __call__(self, box):
+        return len(gc.get_objects()), gc.get_freeze_count()
+
+
 def unwilling():
     raise FileNotFoundError("no library")
 
@@ -106,11 +126,58 @@ def test_the_same_job_again_is_answered_by_another_process_and_alike(forks):
 
 
 def test_a_position_that_was_let_go_is_reached_again_from_the_nearest_one(forks):
-    way = tuple(Add(k) for k in range(1, 9))  # eight positions, of which four are kept
-    pids = [forks.act(way[:k], way[k])[2] for k in range(8)]
-    wait_for(lambda: sum(alive(pid) for pid in pids) == 4, 5.0)
-    assert forks.act(way[:1], Add(100))[:2] == (101, (1, 100))
+    pids = [forks.act((Add(1),), Add(k))[2] for k in range(8)]  # nine positions, of which four are kept
+    wait_for(lambda: sum(alive(pid) for pid in pids) == 3, 5.0)
+    assert forks.act((Add(1), Add(2)), Add(100))[:2] == (103, (1, 2, 100))
+    way = tuple(Add(k) for k in range(1, 9))
     assert forks.act(way, Add(100))[:2] == (136, (*range(1, 9), 100))
+
+
+def test_a_branch_goes_on_in_its_own_process_while_the_settled_box_stays(forks):
+    settled = forks.act((), Add(1))[2]
+    way, pids = (Add(1),), set()
+    for k in range(2, 6):
+        pids.add(forks.act(way, Add(k))[2])
+        way = (*way, Add(k))
+    assert len(pids) == 1
+    assert alive(settled)
+    assert forks.act((Add(1),), Add(50))[2] not in {settled, *pids}
+
+
+def test_a_position_that_was_left_is_reached_again_once_and_then_stays(forks, tmp_path):
+    """The way back is gone once, whoever branches there: the note is written for the first branch and the second."""
+    book = tmp_path / "book"
+    left = (Add(1), Notes(str(book)))
+    forks.act((Add(1),), left[1])
+    answers = [forks.act(left, Add(k)) for k in (10, 20, 30, 40)]
+    assert [answer[:2] for answer in answers] == [(1 + k, (1, k)) for k in (10, 20, 30, 40)]
+    assert len({pid for _, _, pid in answers}) == 4
+    assert book.read_text() == "xx"
+
+
+def test_a_settled_box_that_is_let_go_takes_its_branches_along_and_comes_back(forks):
+    first = [forks.act((), Add(1))[2], forks.act((Add(1),), Add(2))[2]]
+    for k in (10, 20, 30):
+        for way in ((), (Add(k),)):
+            forks.act(way, Add(k))
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first), 5.0)  # nor a zombie
+    assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
+
+
+def test_a_settled_box_that_is_killed_is_settled_again(forks):
+    """As the memory killer would: who was asked for next is told, and no branch of it is asked in vain thereafter."""
+    settled, branch = forks.act((), Add(1))[2], forks.act((Add(1),), Add(2))[2]
+    os.kill(settled, signal.SIGKILL)
+    wait_for(lambda: not alive(branch), 5.0)
+    with pytest.raises(BoxDied, match=r"^the box died: SIGKILL"):
+        forks.act((Add(1),), Add(3))
+    assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
+
+
+def test_what_was_there_before_a_fork_is_not_collected_in_it(forks):
+    """A collection writes to every object it looks at, and a fork would have to copy all of them."""
+    looked_at, left_alone = forks.act((Add(1),), LooksAtTheCollector())
+    assert looked_at < left_alone / 10
 
 
 def test_a_crash_costs_its_branch_alone(forks):
@@ -121,12 +188,17 @@ def test_a_crash_costs_its_branch_alone(forks):
     with pytest.raises(BoxDied, match="SIGABRT"):
         forks.act((Add(1), Dies(signal.SIGABRT)), Add(2))  # on the way
     assert forks.act((Add(1), Add(2)), Add(3))[0] == 6
+    with pytest.raises(BoxDied, match=r"^the box died: SIGABRT"):
+        forks.act((Add(1), Add(2), Add(3)), Dies(signal.SIGABRT))  # in the process that came all the way
+    assert forks.act((Add(1), Add(2), Add(3)), Add(4))[0] == 10
 
 
 def test_what_an_action_raises_arrives_and_leaves_the_position_as_it_was(forks):
-    with pytest.raises(ValueError, match=r"^no such port$"):
-        forks.act((Add(1),), Raises())
-    assert forks.act((Add(1),), Add(2))[0] == 3
+    for way in ((Add(1),), (Add(1), Add(2))):
+        before, _, _ = forks.act(way[:-1], way[-1])
+        with pytest.raises(ValueError, match=r"^no such port$"):
+            forks.act(way, Raises())
+        assert forks.act(way, Add(2))[0] == before + 2
 
 
 def test_a_box_that_cannot_be_built_says_why():
@@ -151,14 +223,16 @@ def test_no_process_is_left_behind(forks):
     assert forks.act((Add(1),), Add(5))[0] == 6  # and it begins anew when asked
 
 
-def test_a_branch_that_hangs_goes_with_the_process_that_asked(tmp_path):
+@pytest.mark.parametrize("way", [(Add(1),), (Add(1), Add(2))], ids=["a fork", "a process that goes on"])
+def test_a_branch_that_hangs_goes_with_the_process_that_asked(tmp_path, way):
     """The asker is killed while a fork sleeps: nursery and forks follow, whatever they are at."""
     told = tmp_path / "pids"
     asker = os.fork()
     if asker == 0:
         forks = Forks(Counter)
-        told.write_text(f"{forks.act((), Add(1))[2]} {forks._nursery[0].pid}")
-        forks.act((Add(1),), Sleeps(str(told)))
+        settled, *_ = [forks.act(way[:k], way[k])[2] for k in range(len(way))]
+        told.write_text(f"{settled} {forks._nursery[0].pid}")
+        forks.act(way, Sleeps(str(told)))
         os._exit(0)
     wait_for(lambda: told.exists() and len(told.read_text().split()) == 3)
     pids = [int(pid) for pid in told.read_text().split()]
