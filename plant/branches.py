@@ -9,9 +9,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from .forked import Action, Way
+from .forked import BRANCHED_FROM, Action, Way
 
-SNAPSHOTS_KEPT = 64
+SNAPSHOTS_KEPT = 128
+"""One for each shot of the largest batch, and some to spare."""
 
 BOXES_KEPT = 4
 """Boxes that stand at different places; a shot and its reference go on without being replayed."""
@@ -40,6 +41,8 @@ class SnapshotBox(Protocol):
 class Snapshots:
     """Positions of one box, kept as its own snapshots.
 
+    A branch that goes on leaves its position behind; one that is asked for again is reached again, and stays.
+
     Parameters
     ----------
     build : callable
@@ -50,6 +53,7 @@ class Snapshots:
         self._build = build
         self._box: SnapshotBox | None = None
         self._kept: OrderedDict[Way, Any] = OrderedDict()
+        self._stay: set[Way] = set()
 
     def act(self, way: Way, action: Action) -> Any:
         """The answer of ``action`` at the end of ``way``; the position behind it is kept."""
@@ -58,6 +62,7 @@ class Snapshots:
         except BoxLost:
             self._box = None
             self._kept.clear()
+            self._stay.clear()
             raise
 
     def _act(self, way: Way, action: Action) -> Any:
@@ -68,7 +73,12 @@ class Snapshots:
             box.load(self._kept[way[:nearest]])
         for n in range(nearest, len(way)):  # an action at the start begins with a start
             way[n](box)
+        if nearest < len(way):
+            self._stay.add(way)
+            self._keep(way, box)
         answer = action(box)
+        if len(way) > BRANCHED_FROM and way not in self._stay:
+            self._let_go(way, box)
         self._keep((*way, action), box)
         return answer
 
@@ -77,7 +87,11 @@ class Snapshots:
             return
         self._kept[way] = box.save()
         if len(self._kept) > SNAPSHOTS_KEPT:
-            box.drop(self._kept.popitem(last=False)[1])
+            self._let_go(next(iter(self._kept)), box)
+
+    def _let_go(self, way: Way, box: SnapshotBox) -> None:
+        box.drop(self._kept.pop(way))
+        self._stay.discard(way)
 
 
 class Replays:
