@@ -83,15 +83,17 @@ def _fmu(*switches: str) -> Path:
 
 
 def _variables(third: bool, switches: tuple[str, ...]) -> list[Variable]:
-    """Those of `boxes/turbine_fmu.c`; with FAULT_WIDTH two phases are declared where the code writes three."""
+    """Those of `boxes/turbine_fmu.c`; FAULT_WIDTH declares two phases where the code writes three, COLD outputs that
+    cannot be set."""
     phases = [("_abc", 3)] if third else [("_a", 1), ("_b", 1), ("_c", 1)]
     told = [
         Variable(name + phase, first + k, "input", unit=unit, width=width)
         for name, first, unit in (("v", 0, "V"), ("i", 3, "A"))
         for k, (phase, width) in enumerate(phases)
     ]
+    start, initial = (None, "calculated") if "COLD" in switches else (0.0, "exact")
     given = [
-        Variable(("v_conv" if third else "u") + phase, 8 + k, "output", initial="exact", unit="V", width=width)
+        Variable(("v_conv" if third else "u") + phase, 8 + k, "output", "continuous", start, initial, "V", width)
         for k, (phase, width) in enumerate(phases)
     ]
     if "FAULT_WIDTH" in switches:

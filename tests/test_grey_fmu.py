@@ -98,8 +98,19 @@ def test_every_version_and_every_way_to_branch_gives_the_bytes_of_the_library():
         assert all(a.tobytes() == b.tobytes() for a, b in zip(expected, found, strict=True)), (switches, snapshot)
 
 
-def test_outputs_that_cannot_be_told_are_found_by_settling():
-    """The delay is the library's own, an Integer that is set at the start."""
+def test_a_controller_whose_outputs_cannot_be_set_begins_cold_and_settles_to_the_same_state():
+    """Without the first command the current starts with a blow; sweeps of both agree to their own tolerance of 1e-5."""
+    told, cold = plant("STATE"), plant("STATE", "COLD")
+    (told_y, cold_y) = (swept(device, {"f_hz": [20.0, 150.0]})[1] for device in (told, cold))
+    assert np.max(np.abs(cold_y / told_y - 1.0)) <= 1e-5
+    first = [
+        device._core.run([Job(device._core._start(0.65e6, U_V, Source()), None)], 50)[0][1] for device in (told, cold)
+    ]
+    assert np.max(np.abs(first[1].i - first[0].i)) > 0.1 * np.max(np.abs(first[0].i))
+
+
+def test_settings_of_whole_numbers_reach_the_fmu():
+    """The delay is the controls' own, an Integer that is set before the start."""
     settings = {"Delay": 1, "Lead": 1.5}
     ours, theirs = plant("STATE", settings=settings), library(settings=settings)
     records = [device.run([Job(device.settle(POINT, Source()), TONE)], 400)[0][1] for device in (ours, theirs)]
