@@ -69,7 +69,6 @@ class FmuBox:
 
     def __init__(self, model: Model, terminals: Terminals):
         self._instance, self._terminals, self._dt_s = Instance(model), terminals, model.dt_s
-        self._cells = tuple(memory.cells.view(float) for memory in (self._instance.inputs, self._instance.outputs))
         self._step = 0
 
     def start(self, operating_point: OperatingPoint) -> None:
@@ -97,12 +96,15 @@ class FmuBox:
         from .kernels import fmi
 
         u, y = np.ascontiguousarray(u, float), np.empty((len(u), self._terminals.n_currents))
-        step, block = self._instance.addresses
-        done = int(fmi.advance(step, block, self._instance.time, self._step, self._dt_s, *self._cells, u, y))
-        self._step += done
-        self._instance.check()
+        instance = self._instance
+        (step, block), told, given = instance.addresses, instance.inputs.cells, instance.outputs.cells
+        done = fmi.advance(
+            step, block, instance.time, self._step, self._dt_s, told.view(float), given.view(float), u, y
+        )
+        self._step += int(done)
+        instance.check()
         if done < len(u):
-            raise self._instance.failure()
+            raise instance.failure()
         return y
 
     def save(self) -> Any:

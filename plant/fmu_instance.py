@@ -80,7 +80,7 @@ def unpacked(
     ArchiveError
         If something in it is not fit to be unpacked.
     """
-    sides = [laid_out(contents, variables)[0] for variables in (inputs, outputs)]
+    told, given = laid_out(contents, inputs)[0], laid_out(contents, outputs)[0]
     folder = tempfile.mkdtemp(prefix="fmu-")
     unpack(contents.path, Path(folder))
     return Model(
@@ -88,8 +88,10 @@ def unpacked(
         contents.description.guid,
         contents.description.coSimulation.modelIdentifier,
         contents.version,
-        *sides,
-        *(n_bytes(contents, groups) for groups in sides),
+        told,
+        given,
+        n_bytes(contents, told),
+        n_bytes(contents, given),
         tuple(before),
         float(dt_s),
         can_go_back,
@@ -220,5 +222,5 @@ def warm() -> None:
     from .kernels import fmi
 
     nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
-    address, none = np.int64(ctypes.cast(nothing, ctypes.c_void_p).value), np.zeros(0)
+    address, none = np.int64(ctypes.cast(nothing, ctypes.c_void_p).value or 0), np.zeros(0)
     fmi.advance(address, np.int64(0), np.zeros(1), 0, 1.0, none, none, np.zeros((1, 0)), np.zeros((1, 0)))

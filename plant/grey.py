@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .branched import Branched, BranchedState, Forwards, Listen, Run, is_whole
-from .branches import Replays, Snapshots
+from .branches import Replays, SnapshotBox, Snapshots
 from .damping import checked_compensation
 from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .forked import Forks
@@ -110,18 +110,16 @@ class GreyTurbine:
         offer = _offer(controller, settings or {}, outputs, sample_time_s, snapshot)
         if offer.folder is not None:
             weakref.finalize(self, shutil.rmtree, offer.folder, ignore_errors=True)
-        self._offer, self._build = (
-            offer,
-            partial(
-                SampledTurbine,
-                inputs=dict(inputs),
-                outputs=dict(outputs),
-                parameters=_circuit(parameters),
-                dt_s=offer.sample_time_s,
-                delay=delay_samples,
-                patience=Patience(*_positive(settle_tolerance=settle_tolerance, patience_s=patience_s)),
-                block=checked_compensation(self.id, [damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz]),
-            ),
+        self._offer = offer
+        self._build = partial(
+            SampledTurbine,
+            inputs=dict(inputs),
+            outputs=dict(outputs),
+            parameters=_circuit(parameters),
+            dt_s=offer.sample_time_s,
+            delay=delay_samples,
+            patience=Patience(*_positive(settle_tolerance=settle_tolerance, patience_s=patience_s)),
+            block=checked_compensation(self.id, [damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz]),
         )
         self._core = core = self._build(offer.open)
         self.f1_hz, self.dt_s, self.rating, self.operating_range = (
@@ -172,7 +170,7 @@ class GreyTurbine:
 
     def _go_on(self, job: Job, action: Run | Listen) -> tuple[BranchedState, Any]:
         if not self._sure or self._branched is None:  # a state from another process, which knew more
-            self._branched, self._sure = self._branches(_FALLBACK), True
+            self._branched, self._sure = self._by_processes(), True
         return self._branched.go_on(job.state, action)
 
     def _found(self, operating_point: OperatingPoint, source: Source) -> Any:
@@ -183,7 +181,7 @@ class GreyTurbine:
         self._sure = True  # so that the question below is answered from the states in question
         if is_whole(self, state, self._probe):
             return state
-        self._branched = self._branches(_FALLBACK)
+        self._branched = self._by_processes()
         return self._branched.settle(operating_point, source)
 
     def _probe(self, sign: float) -> Injection:
@@ -191,31 +189,48 @@ class GreyTurbine:
 
     def _branches(self, kept: str) -> Branched | None:
         """What keeps the states, if they are not in hand."""
-        build = partial(self._build, self._offer.open)
         if kept == "arrays":
             return None
         if kept == "snapshots":
-            return Branched(Snapshots(partial(_going_back, build)))
-        if kept == "fork":
-            return Branched(Forks(partial(_forwards, build), warm_up, POSITIONS_KEPT))
+            return Branched(Snapshots(partial(_going_back, partial(self._build, self._offer.open))))
+        return self._by_forks() if kept == "fork" else self._by_copies()
+
+    def _by_processes(self) -> Branched:
+        """What keeps the states of any controller."""
+        return self._by_forks() if _FALLBACK == "fork" else self._by_copies()
+
+    def _by_forks(self) -> Branched:
+        return Branched(Forks(partial(_forwards, partial(self._build, self._offer.open)), warm_up, POSITIONS_KEPT))
+
+    def _by_copies(self) -> Branched:
         return Branched(Replays(partial(_forwards, partial(self._build, self._offer.open_copy))))
 
 
 class GoingBack(Forwards):
-    """A plant whose controller takes snapshots of itself, and the state it is in."""
+    """A circuit whose controller takes snapshots of itself, and the state it is in.
+
+    Parameters
+    ----------
+    plant : SampledTurbine
+        Its controller stays the same one from run to run.
+    """
+
+    def __init__(self, plant: SampledTurbine):
+        super().__init__(plant)
+        self._controller: SnapshotBox = plant.controller  # type: ignore[assignment]  # as its `Offer` says
 
     def save(self) -> Any:
         """The circuit's state and the controller's snapshot."""
-        return self.state, self.plant.controller.save()
+        return self.state, self._controller.save()
 
     def load(self, snapshot: Any) -> None:
         """Be as it was when ``snapshot`` was taken."""
         self.state, held = snapshot
-        self.plant.controller.load(held)
+        self._controller.load(held)
 
     def drop(self, snapshot: Any) -> None:
         """Give the controller's snapshot back to it."""
-        self.plant.controller.drop(snapshot[1])
+        self._controller.drop(snapshot[1])
 
 
 def around_library(path: str, **parameters: Any) -> GreyTurbine:

@@ -87,9 +87,9 @@ def test_an_fmu_is_read_and_not_unpacked(tmp_path):
         "FMI 2.0, model box 3",
         "2 members",
         "branched by its own get and set",
-        "inputs: v_a (Real = 0.0), v_b",
+        "inputs: v_a (Real = 0), v_b",
         "outputs: i_a (Real), i_b",
-        "parameters: p_w (Real = 0.0), fault",
+        "parameters: p_w (Real = 0), fault",
         "would be loaded and executed, in a child process, of: binaries/linux64/box.so",
         f'a campaign with [plant] id = "fmu:{path}"',
     ):
