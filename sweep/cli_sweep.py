@@ -70,7 +70,15 @@ def run(
 
     with progress() as report:
         outcome = run_campaign(
-            planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, discard=force, report=report
+            planned,
+            plant,
+            output,
+            jobs=jobs,
+            backend=backend,
+            scheduler=scheduler,
+            discard=force,
+            report=report,
+            say=lambda text: typer.echo(text, err=True),
         )
     report_statuses(output, outcome.statuses)
     for remark in outcome.remarks:

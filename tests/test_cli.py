@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -280,8 +281,12 @@ def test_ctrl_c_ends_within_two_seconds_and_the_same_command_goes_on(tmp_path, b
         wait_for(lambda: not group_members(process.pid), 10.0)  # no worker is left behind
     finally:
         end_group(process)
-    assert call("run", path, "-o", table, "--jobs", 2).returncode == OK
-    assert call("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading").returncode == OK
+    again = call("run", path, "-o", table, "--jobs", 2)
+    assert again.returncode == OK
+    assert re.search(r"^going on: (\d+)/96 points are measured already, (\d+) left$", again.stderr, re.MULTILINE)
+    undisturbed = call("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading")
+    assert undisturbed.returncode == OK
+    assert "going on" not in undisturbed.stderr
     assert table.read_bytes() == fresh.read_bytes()
 
 
