@@ -31,6 +31,7 @@ from .plan import Condition, Plan
 from .signals import Signal, multisine, qrb, residue_length, tones
 
 FORMAT, VERSION = "seqsweep-grid", "1.0.0"
+SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-grid-1.schema.json"
 
 BAND_HZ = (10.0, 150.0)
 """Band of nu: what the PCC hears is from -100 to 40 and from 60 to 200 Hz where f1 is 50 Hz."""
@@ -243,7 +244,7 @@ def _rounded(value: float, std: float, size: float, sign: str = "") -> str:
 
 
 def to_json(seen: Sequence[GridSeen], probe: Probe, plan: Plan) -> dict[str, Any]:
-    """The result in the format ``seqsweep-grid``."""
+    """The result in the format ``seqsweep-grid``; `SCHEMA_FILE` is its JSON schema."""
     from importlib.metadata import version
 
     signal = probe.signal
