@@ -21,7 +21,7 @@ from ..identify.grid_impedance import GridImpedance, identify_grid
 from ..identify.table import atomic_file
 from ..plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ..plant.registry import PlantCard
-from .child import ChildFailed, child
+from .child import ChildFailed, child, reason_of
 from .config import MAX_AMPLITUDE_PU
 from .grid import coherent_block
 from .isolate import DEFAULT_TIMEOUT_S
@@ -175,7 +175,7 @@ def _seen(plant: Plant, plan: Plan, probe: Probe, condition: Condition) -> GridS
     except ValueError:
         raise
     except Exception as error:
-        return GridSeen(condition.op_id, None, float("nan"), f"failed: {type(error).__name__}: {error}")
+        return GridSeen(condition.op_id, None, float("nan"), f"failed: {reason_of(error)}")
     found = identify_grid(record, injection)
     scr = plant.rating.voltage_v**2 / (plant.rating.power_va * hypot(found.r_ohm, found.x_ohm))
     return GridSeen(condition.op_id, found, scr, "" if found.is_rl else _not_rl(found))
