@@ -18,7 +18,8 @@ import numpy as np
 
 from ..identify.adaptive import Decision, decide
 from ..identify.response import FrequencyResponse
-from ..identify.table import QUALITY, unpack_covariance, write_table
+from ..identify.table_format import QUALITY, unpack_covariance
+from ..identify.table_write import write_table
 from ..plant.endings import die_with_parent
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard, releases_gil

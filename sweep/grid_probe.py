@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from ..identify.atomic import atomic_file
 from ..identify.grid_impedance import GridImpedance, identify_grid
-from ..identify.table import atomic_file
 from ..plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ..plant.registry import PlantCard
 from .child import ChildFailed, child, reason_of

@@ -7,7 +7,7 @@ from math import nan
 
 import numpy as np
 
-from ..identify.table import N_COV, pack_covariance
+from ..identify.table_format import N_COV, pack_covariance
 from .grid import Frequency
 from .plan import Batch, Plan
 
