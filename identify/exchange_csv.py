@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from .atomic import atomic_file
 from .exchange import (
     TABLE_FACTS,
     ExchangeError,
@@ -37,7 +38,7 @@ from .exchange import (
 from .exchange_headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_columns, variables_header
 from .exchange_table import Outgoing
 from .response import FrequencyResponse
-from .table import ELEMENTS, QUALITY, atomic_file, canonical_json, std_of
+from .table_format import ELEMENTS, QUALITY, canonical_json, std_of
 
 Places = dict[tuple[int, int], dict[str, int]]
 """Row and column of an element to the numbers of the columns that hold its parts."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .exchange import ExchangeError
-from .table import ELEMENTS, QUALITY
+from .table_format import ELEMENTS, QUALITY
 
 DQ_ELEMENTS = ("dd", "dq", "qd", "qq")
 POSITION = {

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from .atomic import atomic_file
 from .exchange import (
     MAX_BYTES,
     TABLE_FACTS,
@@ -32,7 +33,7 @@ from .exchange import (
     unit_factor,
 )
 from .exchange_table import Outgoing, the_one
-from .table import QUALITY, atomic_file, std_of
+from .table_format import QUALITY, std_of
 
 _HEADER = b"MATLAB 5.0 MAT-file, written by seqsweep".ljust(116)
 _COMPRESSED = 15

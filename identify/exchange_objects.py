@@ -10,7 +10,8 @@ import numpy as np
 
 from .exchange import ExchangeError, extra
 from .response import FrequencyResponse
-from .table import ELEMENTS, Table, std_of
+from .table import Table
+from .table_format import ELEMENTS, std_of
 
 ROUND_TRIP = 1e-12
 """Largest relative error (norm of a 2x2) that scattering parameters may bring."""

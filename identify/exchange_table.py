@@ -12,8 +12,9 @@ import numpy as np
 from .exchange import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
 from .frames import to_frame
 from .response import Frame, FrequencyResponse
-from .table import TableError, complete_metadata, rows_of
+from .table_format import TableError, complete_metadata
 from .table_rules import metadata_violations, row_violations
+from .table_write import rows_of
 
 # In
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .atomic import atomic_file
 from .exchange import (
     ExchangeError,
     Facts,
@@ -28,7 +29,6 @@ from .exchange import (
 )
 from .exchange_objects import to_network
 from .exchange_table import Outgoing, the_one
-from .table import atomic_file
 
 
 def write_touchstone(path: str | Path, out: Outgoing, z0_ohm: float | None = None) -> None:

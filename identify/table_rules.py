@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .response import STATUSES
-from .table import ELEMENTS, QUALITY, content_hash, std_of, unpack_covariance
+from .table_format import ELEMENTS, QUALITY, content_hash, std_of, unpack_covariance
 
 Columns = Mapping[str, np.ndarray]
 

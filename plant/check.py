@@ -29,6 +29,7 @@ from .protocol import (
     Tone,
     Window,
 )
+from .registry import in_words
 
 _GATES = ("attributes", "settles", "samples", "finite")
 
@@ -98,7 +99,7 @@ def _judge(name: str, check: Callable[[_Trial], str], trial: _Trial) -> Finding:
     except _Broken as broken:
         return Finding(name, False, str(broken))
     except Exception as error:
-        return Finding(name, False, _in_words(error))
+        return Finding(name, False, in_words(error))
 
 
 class _Trial:
@@ -493,12 +494,10 @@ def _refused(call: Callable[[], Any]) -> bool:
     except ValueError:
         return True
     except Exception as error:
-        raise _Broken(f"a ValueError is promised; it raised {_in_words(error)}") from None
+        kind, words = type(error).__name__, in_words(error)  # here the class is what is wrong
+        told = words if words.startswith(kind) else f"{kind}: {words}"
+        raise _Broken(f"a ValueError is promised; it raised {told}") from None
     return False
-
-
-def _in_words(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
 
 
 _CHECKS: dict[str, Callable[[_Trial], str]] = {

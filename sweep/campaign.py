@@ -18,7 +18,8 @@ import numpy as np
 
 from ..identify.adaptive import Decision, decide
 from ..identify.response import FrequencyResponse
-from ..identify.table import QUALITY, unpack_covariance, write_table
+from ..identify.table_format import QUALITY, unpack_covariance
+from ..identify.table_write import write_table
 from ..plant.endings import die_with_parent
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard, releases_gil
@@ -64,6 +65,7 @@ def run(
     scheduler: str | None = None,
     discard: bool = False,
     report: Report = lambda done, total, share: None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Outcome:
     """Measure every point of ``plan`` and write the table to ``output``; go on where a run was ended.
 
@@ -83,6 +85,8 @@ def run(
         Whether unfinished work of another campaign on this output may go.
     report : callable
         Progress.
+    say : callable
+        Called once, with a line of text, where an earlier run left something to go on with.
 
     Raises
     ------
@@ -98,7 +102,10 @@ def run(
     with shards.locked(folder):
         if not discard:
             _refuse_strangers(plan, folder)
-        bring = partial(_measure_missing, plant=plant, folder=folder, jobs=jobs, backend=backend, scheduler=scheduler)
+        tell = _resumption(plan, say)
+        bring = partial(
+            _measure_missing, plant=plant, folder=folder, jobs=jobs, backend=backend, scheduler=scheduler, tell=tell
+        )
         batches, certificates = _measure_all(plan, folder, bring, report)
         outcome = _assemble(plan, plant, batches, certificates, folder, output)
         shards.remove(folder)
@@ -175,6 +182,28 @@ def _further(report: Report, before: int, most: int) -> Report:
     return lambda done, total, share: report(before + done, most, (before + done) / most)
 
 
+def _resumption(plan: Plan, say: Callable[[str], None]) -> Callable[[int, int], None]:
+    """A function to call with (points found, points missing) of each portion; it speaks before the first is measured.
+
+    Pilots and rounds are portions: how many points follow them is known only where there is but one.
+    """
+    one_portion = plan.adaptive is None and not plan.automatic
+    kept, over = 0, False
+
+    def tell(found: int, missing: int) -> None:
+        nonlocal kept, over
+        kept += found
+        if over or not (missing or one_portion):
+            return
+        over = True
+        if kept and one_portion:
+            say(f"going on: {kept}/{kept + missing} points are measured already, {missing} left")
+        elif kept:
+            say(f"going on: {kept} points are measured already")
+
+    return tell
+
+
 def _measure_missing(
     plan: Plan,
     batches: Sequence[Batch],
@@ -183,6 +212,7 @@ def _measure_missing(
     jobs: int,
     backend: str,
     scheduler: str | None,
+    tell: Callable[[int, int], None],
     report: Report,
 ) -> None:
     """Bring the shard of every batch into the folder."""
@@ -190,6 +220,7 @@ def _measure_missing(
     missing = [batch for batch in batches if shards.read(folder, batch.key) is None]
     done = total - sum(len(batch.points) for batch in missing)
     left = sum(_work(batch.points) for batch in missing)
+    tell(done, total - done)
     report(done, total, 1.0 - left / work)
     for batch, result in _results(plan, plant, missing, jobs, backend, scheduler):
         shards.write(folder, batch.key, result)

@@ -33,7 +33,7 @@ SAID_BYTES = 1 << 20
 """What a plant prints is kept for its last words, and forgotten between two questions above this size."""
 
 MOST_CHARACTERS = 300
-"""Length of the reason that a child gives."""
+"""Length of a reason: it goes over a pipe, and into a row."""
 
 _SCRATCH = "seqsweep-run-"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -195,7 +195,7 @@ def _serve(pipe: Connection) -> None:
         plant = spec.make()
         pipe.send(card_of(plant, spec))
     except Exception as error:
-        pipe.send(_Trouble(_reason(error)))
+        pipe.send(_Trouble(reason_of(error)))
         return
     while True:
         try:
@@ -210,10 +210,11 @@ def _answer(plant: Plant, question: Callable[[Plant], object]) -> object:
     try:
         return question(plant)
     except Exception as error:
-        return _Trouble(_reason(error))
+        return _Trouble(reason_of(error))
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
+    """What a plant raised, as the reason of its rows: in the same words here and in a child."""
     return in_words(error)[:MOST_CHARACTERS]
 
 

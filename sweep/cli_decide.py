@@ -12,6 +12,7 @@ import typer
 from .cli_shared import (
     NOT_ALL_OK,
     CampaignFile,
+    Force,
     Settings,
     TableFile,
     check_outputs,
@@ -29,6 +30,7 @@ def tune(
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode, locus and poles: .png, .svg, .pdf.")] = None,
     confirm: Annotated[bool, typer.Option("--confirm", help="Sweep again with damping and iterate k.")] = False,
     jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm.")] = os.cpu_count() or 1,
+    force: Force = False,
 ) -> None:
     """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
     from ..identify.table import read_table
@@ -36,7 +38,7 @@ def tune(
     from ..tuning.siso import parse_grid
     from ..tuning.tune import tune as judge
 
-    check_outputs(output, plot)
+    check_outputs(output, force, plot)
     content = read_table(table)
     result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
     if confirm:
@@ -65,11 +67,12 @@ def verify(
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="VERIFY.json", help="Write JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Power, r(t), ...: .png, .svg or .pdf.")] = None,
+    force: Force = False,
 ) -> None:
     """The same device in time, with and without damping control."""
     from .verify_job import VerifyJob, verified
 
-    check_outputs(output, plot)
+    check_outputs(output, force, plot)
     width = shutil.get_terminal_size((100, 24)).columns
     typer.echo(verified(VerifyJob(tuning, table, op, scenario, output, plot, width)))
 
@@ -82,13 +85,14 @@ def grid(
     op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="GRID.json", help="Write JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="R and X of every line: .png, .svg, .pdf.")] = None,
+    force: Force = False,
     settings: Settings = None,
 ) -> None:
     """R + jX of the grid behind the PCC, identified while the plant runs on it."""
     from ..plant.registry import PlantCard
     from .grid_probe import format_report, make_probe, probe_grids, probe_in_a_child, to_json, write_json
 
-    check_outputs(output, plot)
+    check_outputs(output, force, plot)
     planned, plant = planned_of(campaign, settings)
     probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
     if isinstance(plant, PlantCard):

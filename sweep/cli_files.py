@@ -11,6 +11,7 @@ import typer
 from .cli_shared import (
     NOT_ALL_OK,
     CampaignFile,
+    Force,
     Settings,
     TableFile,
     WrongInput,
@@ -32,7 +33,7 @@ def identify(
     rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Base.")] = None,
     op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+    force: Force = False,
 ) -> None:
     """Recordings of a perturbed device in, the same table out."""
     from .identify_run import identify as identify_recordings
@@ -53,7 +54,7 @@ def export_command(
     op: Annotated[str | None, typer.Option(metavar="ID", help="Only this operating point.")] = None,
     frame: Annotated[str, typer.Option(help="pn or dq.")] = "pn",
     z0: Annotated[float | None, typer.Option(metavar="OHM", help="Touchstone's reference; by default U^2/S.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Force = False,
 ) -> None:
     """Write a table for other tools: CSV, MATLAB (frd-ready) or Touchstone."""
     from .exchange import export_table, format_of
@@ -85,7 +86,7 @@ def import_command(
     active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
     terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
     variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix in a .mat file.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+    force: Force = False,
 ) -> None:
     """Make a table of another tool's file. What the file does not say, an option must; nothing is assumed."""
     from .exchange import format_of, import_file

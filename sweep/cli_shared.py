@@ -23,6 +23,7 @@ TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A tabl
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="a.b=c", help="Replace a value of the campaign; repeatable.")
 ]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 
 
 class WrongInput(ValueError):
@@ -44,13 +45,20 @@ def planned_of(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant 
     return planned, plant
 
 
-def check_outputs(output: Path | None, plot: Path | None) -> None:
-    """Refuse, before anything is computed, what could not be written in the end."""
-    if plot is not None and plot.suffix.lower() not in PLOT_SUFFIXES:
+def check_outputs(output: Path | None, force: bool, plot: Path | None) -> None:
+    """Refuse, before anything is computed, what could not be written in the end, or must not be replaced unasked."""
+    if output is not None:
+        check_new(output, force)
+    check_plot(plot)
+
+
+def check_plot(plot: Path | None) -> None:
+    """Refuse a picture that cannot be drawn. An earlier one gives way unasked: the same command draws it again."""
+    if plot is None:
+        return
+    if plot.suffix.lower() not in PLOT_SUFFIXES:
         raise WrongInput(f"{plot}: the suffix decides the format of the plot; needed: {', '.join(PLOT_SUFFIXES)}")
-    for path in (output, plot):
-        if path is not None:
-            check_folder(path)
+    check_new(plot, force=True)
 
 
 def check_new(output: Path, force: bool) -> None:

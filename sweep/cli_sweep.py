@@ -14,12 +14,13 @@ from .cli_shared import (
     NOT_ALL_OK,
     WRONG_INPUT,
     CampaignFile,
+    Force,
     Settings,
     TableFile,
     WrongInput,
     check_folder,
     check_new,
-    check_outputs,
+    check_plot,
     planned_of,
     report_statuses,
 )
@@ -54,7 +55,7 @@ def run(
         str | None, typer.Option(help="threading, loky or dask; by default what suits the plant.")
     ] = None,
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A dask scheduler.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing table.")] = False,
+    force: Force = False,
     settings: Settings = None,
 ) -> None:
     """Sweep, and write the table. Interrupted, the same command goes on where it was."""
@@ -69,7 +70,15 @@ def run(
 
     with progress() as report:
         outcome = run_campaign(
-            planned, plant, output, jobs=jobs, backend=backend, scheduler=scheduler, discard=force, report=report
+            planned,
+            plant,
+            output,
+            jobs=jobs,
+            backend=backend,
+            scheduler=scheduler,
+            discard=force,
+            report=report,
+            say=lambda text: typer.echo(text, err=True),
         )
     report_statuses(output, outcome.statuses)
     for remark in outcome.remarks:
@@ -88,7 +97,7 @@ def show(
 
     if op is not None and plot is None:
         raise WrongInput("--op names the operating point to draw: it goes with --plot FILE")
-    check_outputs(None, plot)
+    check_plot(plot)
     terminal = sys.stdout.isatty()
     typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
     if plot is not None:

@@ -9,7 +9,8 @@ from typing import Any
 from ..identify.exchange import ExchangeError, Facts, Found
 from ..identify.exchange_table import outgoing, to_table
 from ..identify.response import Frame
-from ..identify.table import read_table, write_table
+from ..identify.table import read_table
+from ..identify.table_write import write_table
 
 SUFFIXES = {
     **{".csv": "csv", ".tsv": "csv", ".txt": "csv"},

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..identify.atomic import atomic_file
 from ..identify.grid_impedance import GridImpedance
-from ..identify.table import atomic_file
 from .grid_probe import GridSeen
 from .plot import _RC, _WITHOUT_TIME
 

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from ..identify.atomic import atomic_file
 from ..identify.grid_impedance import GridImpedance, identify_grid
-from ..identify.table import atomic_file
 from ..plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ..plant.registry import PlantCard
-from .child import ChildFailed, child
+from .child import ChildFailed, child, reason_of
 from .config import MAX_AMPLITUDE_PU
 from .grid import coherent_block
 from .isolate import DEFAULT_TIMEOUT_S
@@ -31,6 +31,7 @@ from .plan import Condition, Plan
 from .signals import Signal, multisine, qrb, residue_length, tones
 
 FORMAT, VERSION = "seqsweep-grid", "1.0.0"
+SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-grid-1.schema.json"
 
 BAND_HZ = (10.0, 150.0)
 """Band of nu: what the PCC hears is from -100 to 40 and from 60 to 200 Hz where f1 is 50 Hz."""
@@ -174,7 +175,7 @@ def _seen(plant: Plant, plan: Plan, probe: Probe, condition: Condition) -> GridS
     except ValueError:
         raise
     except Exception as error:
-        return GridSeen(condition.op_id, None, float("nan"), f"failed: {type(error).__name__}: {error}")
+        return GridSeen(condition.op_id, None, float("nan"), f"failed: {reason_of(error)}")
     found = identify_grid(record, injection)
     scr = plant.rating.voltage_v**2 / (plant.rating.power_va * hypot(found.r_ohm, found.x_ohm))
     return GridSeen(condition.op_id, found, scr, "" if found.is_rl else _not_rl(found))
@@ -243,7 +244,7 @@ def _rounded(value: float, std: float, size: float, sign: str = "") -> str:
 
 
 def to_json(seen: Sequence[GridSeen], probe: Probe, plan: Plan) -> dict[str, Any]:
-    """The result in the format ``seqsweep-grid``."""
+    """The result in the format ``seqsweep-grid``; `SCHEMA_FILE` is its JSON schema."""
     from importlib.metadata import version
 
     signal = probe.signal

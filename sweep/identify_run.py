@@ -13,7 +13,7 @@ import numpy as np
 
 from ..identify.pair import SLIP, Experiment, Point, broadband_points, points_of
 from ..identify.response import FrequencyResponse
-from ..identify.table import write_table
+from ..identify.table_write import write_table
 from ..plant.protocol import Rating, SourceDirection
 from ..plant.recordings.channels import parse_channels
 from ..plant.recordings.read import recordings_in

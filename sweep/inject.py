@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.table import atomic_file
+from ..identify.atomic import atomic_file
 from ..plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
 from ..plant.registry import PlantCard
 from .comtrade_file import Encoding

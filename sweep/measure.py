@@ -18,11 +18,12 @@ from ..identify.uncertainty import propagate, propagate_common, scatter, student
 from ..plant.protocol import NotSettled, Plant
 from .baseline import Baseline, Unsettled, baseline
 from .broadband import drive_broadband
+from .child import reason_of
 from .drive import drive
 from .grid import Frequency
 from .linearity import compared, covariance_of
 from .plan import Batch, Plan
-from .rows import BatchResult, Row, blank_row, failed_batch, in_words, with_admittance
+from .rows import BatchResult, Row, blank_row, failed_batch, with_admittance
 
 DIVERGED_PU = 10.0
 """A response this many times the rated peak has left the small signal for good."""
@@ -54,7 +55,7 @@ def measure(plant: Plant, plan: Plan, batch: Batch) -> BatchResult:
     except Unsettled as drift:
         return failed_batch(plan, batch, "not_settled", str(drift))
     except Exception as error:
-        return failed_batch(plan, batch, "failed", in_words(error))
+        return failed_batch(plan, batch, "failed", reason_of(error))
     condition = {"settle_residual": base.change, "terminal_voltage_v": base.terminal_voltage_v}
     return BatchResult(tuple(_rows(plant, plan, batch, base)), condition)
 
@@ -65,7 +66,7 @@ def _rows(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Row]:
         return _measured(plant, plan, batch, base)
     except Exception as error:
         if len(batch.points) == 1:
-            return [blank_row(plan, batch.points[0], "failed", in_words(error))]
+            return [blank_row(plan, batch.points[0], "failed", reason_of(error))]
         return [row for point in batch.points for row in _rows(plant, plan, replace(batch, points=(point,)), base)]
 
 

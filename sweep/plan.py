@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.table import content_hash
+from ..identify.table_format import content_hash
 from ..plant.protocol import (
     Injection,
     InjectionKind,

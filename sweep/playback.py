@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.table import atomic_file
+from ..identify.atomic import atomic_file
 from .comtrade_file import AnalogChannel, Encoding, write_comtrade
 
 PlaybackFormat = Literal["csv", "comtrade", "pscad", "mat"]

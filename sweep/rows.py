@@ -7,7 +7,7 @@ from math import nan
 
 import numpy as np
 
-from ..identify.table import N_COV, pack_covariance
+from ..identify.table_format import N_COV, pack_covariance
 from .grid import Frequency
 from .plan import Batch, Plan
 
@@ -85,9 +85,3 @@ def with_admittance(row: Row, y: np.ndarray, covariance: np.ndarray) -> Row:
 def failed_batch(plan: Plan, batch: Batch, status: str, reason: str) -> BatchResult:
     """Every point of ``batch`` as a row of ``status`` with the same reason."""
     return BatchResult(tuple(blank_row(plan, point, status, reason) for point in batch.points), {})
-
-
-def in_words(error: Exception) -> str:
-    """What a plant raised, as a reason."""
-    text = " ".join(str(error).split()) or "no message"
-    return f"{type(error).__name__}: {text}"[:300]

@@ -433,7 +433,7 @@ def to_json(result: Verification) -> dict[str, Any]:
 
 def write_json(result: Verification, path: str | Path) -> None:
     """Write the verification as JSON, atomically."""
-    from ..identify.table import atomic_file
+    from ..identify.atomic import atomic_file
 
     text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
     with atomic_file(path) as file:

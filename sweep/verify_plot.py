@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..identify.table import atomic_file
+from ..identify.atomic import atomic_file
 from ..plant.events import Event, Fault, Trajectory
 from .plot import _RC, _WITHOUT_TIME, SUFFIXES
 

@@ -299,13 +299,17 @@ def test_an_interrupted_run_asks_the_same_questions(tmp_path, two_points, monkey
         if len(shards_of(output)) >= n_shards:
             raise KeyboardInterrupt
 
+    said = []
     with pytest.raises(KeyboardInterrupt):
-        run(plan, plant, output, jobs=1, backend="threading", report=stop)
+        run(plan, plant, output, jobs=1, backend="threading", report=stop, say=said.append)
+    assert said == []
     kept = {path.name for path in shards_of(output)}
+    n_points = sum(len(shards.read(shards.folder_of(output), key).rows) for key in kept)
     measured_now = []
     real = campaign.measure
     monkeypatch.setattr(campaign, "measure", lambda p, q, batch: measured_now.append(batch.key) or real(p, q, batch))
-    run(plan, plant, output, jobs=2, backend="threading")
+    run(plan, plant, output, jobs=2, backend="threading", say=said.append)
+    assert said == [f"going on: {n_points} points are measured already"]  # how many follow, the rounds decide
     assert len(kept) >= n_shards
     assert measured_now
     assert not kept & set(measured_now)

@@ -206,15 +206,32 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, undisturbed, counted)
         if len(list(shards.folder_of(output).glob("?" * 64))) == 3:
             raise KeyboardInterrupt
 
+    said = []
     with pytest.raises(KeyboardInterrupt):
-        run(plan, plant, output, jobs=1, backend="threading", report=stop_after_three)
+        run(plan, plant, output, jobs=1, backend="threading", report=stop_after_three, say=said.append)
+    assert said == []  # nothing was there to go on with
     assert not output.exists()
     kept = len(list(shards.folder_of(output).glob("?" * 64)))
     assert kept >= 3
+    points = sum(
+        len(batch.points) for batch in plan.batches() if shards.read(shards.folder_of(output), batch.key) is not None
+    )
     counted.clear()
-    run(plan, plant, output, jobs=2, backend="threading")
+    run(plan, plant, output, jobs=2, backend="threading", say=said.append)
+    assert said == [f"going on: {points}/48 points are measured already, {48 - points} left"]
     assert len(counted) == len(list(plan.batches())) - kept
     assert output.read_bytes() == undisturbed
+
+
+def test_a_run_that_only_lacks_its_table_says_that_nothing_is_left_to_measure(left_behind, counted):
+    plan, plant, output, _ = left_behind
+    said = []
+    for batch in plan.batches():
+        shards.write(shards.folder_of(output), batch.key, campaign.measure(plant, plan, batch))
+    counted.clear()
+    run(plan, plant, output, jobs=1, backend="threading", say=said.append)
+    total = sum(len(batch.points) for batch in plan.batches())
+    assert (said, counted) == ([f"going on: {total}/{total} points are measured already, 0 left"], [])
 
 
 def test_a_stranger_among_the_shards_stays(left_behind):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -122,6 +123,39 @@ def test_an_output_that_cannot_be_is_refused_before_anything_runs(tmp_path):
     assert_refused(call("run", path, "-o", "/dev/null", "--force"), "is no ordinary file")
     assert (tmp_path / "taken.parquet").read_text() == "mine"
     assert listing(tmp_path) == ["campaign.toml", "taken.parquet"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["tune", "y.parquet", "--grid", "0.012+0.25j"], ["verify", "tuning.json"], ["grid", "campaign.toml"]],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_decision_is_not_replaced_unasked_nor_put_where_it_cannot_be(tmp_path, arguments):
+    """Before the input is even read: it may take an hour to find out."""
+    taken, folder = tmp_path / "taken.json", tmp_path / "folder.png"
+    taken.write_text("mine")
+    folder.mkdir()
+    assert_refused(call(*arguments, "-o", taken), "taken.json exists; --force replaces it")
+    assert_refused(call(*arguments, "-o", folder), "is a folder; name a file")
+    assert_refused(call(*arguments, "-o", "/dev/null", "--force"), "is no ordinary file")
+    assert_refused(call(*arguments, "--plot", folder), "is a folder; name a file")
+    assert taken.read_text() == "mine"
+    assert listing(tmp_path) == ["folder.png", "taken.json"]
+
+
+def test_a_decision_is_replaced_with_force_and_a_picture_is_drawn_again(tmp_path):
+    table, out, picture = tmp_path / "y.parquet", tmp_path / "tuning.json", tmp_path / "tuning.svg"
+    assert call("run", campaign(tmp_path, plant="dpmsg-v1", n=24), "-o", table).returncode == OK
+    out.write_text("old")
+    picture.write_text("old")
+    done = call("tune", table, "--grid", "0.012+0.25j", "-o", out, "--plot", picture, "--force")
+    assert done.returncode == OK, done.stderr
+    first = out.read_bytes()
+    assert b'"seqsweep-tuning"' in first
+    assert call("tune", table, "--grid", "0.012+0.25j", "--plot", picture).returncode == OK
+    assert picture.stat().st_size > 10_000
+    assert_refused(call("tune", table, "--grid", "0.012+0.25j", "-o", out), "exists; --force replaces it")
+    assert out.read_bytes() == first
 
 
 def test_a_file_that_is_no_table_is_refused(tmp_path):
@@ -247,8 +281,12 @@ def test_ctrl_c_ends_within_two_seconds_and_the_same_command_goes_on(tmp_path, b
         wait_for(lambda: not group_members(process.pid), 10.0)  # no worker is left behind
     finally:
         end_group(process)
-    assert call("run", path, "-o", table, "--jobs", 2).returncode == OK
-    assert call("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading").returncode == OK
+    again = call("run", path, "-o", table, "--jobs", 2)
+    assert again.returncode == OK
+    assert re.search(r"^going on: (\d+)/96 points are measured already, (\d+) left$", again.stderr, re.MULTILINE)
+    undisturbed = call("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading")
+    assert undisturbed.returncode == OK
+    assert "going on" not in undisturbed.stderr
     assert table.read_bytes() == fresh.read_bytes()
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from seqsweep.sweep import config as module
+from seqsweep.sweep import config_file as module
 from seqsweep.sweep.config import Config, ConfigError, load_config
 
 ROOT = Path(__file__).parents[1]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import write_table
+from seqsweep.identify.table_write import write_table
 from seqsweep.sweep.manifest_file import manifest_violations
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -19,7 +19,9 @@ from seqsweep.identify.exchange_headers import column_of
 from seqsweep.identify.exchange_objects import to_control, to_network, to_xarray
 from seqsweep.identify.exchange_table import to_table
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import Table, TableError, read_table, validate_table, write_table
+from seqsweep.identify.table import Table, read_table, validate_table
+from seqsweep.identify.table_format import TableError
+from seqsweep.identify.table_write import write_table
 from seqsweep.sweep.exchange import export_table, import_file, read_file
 
 from .commands import call

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from math import pi
 
+import jsonschema
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -22,7 +23,16 @@ from seqsweep.plant.branch import RLBranch
 from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Record, Source, Tone
 from seqsweep.sweep.config import Config
-from seqsweep.sweep.grid_probe import BAND_HZ, GridSeen, format_report, grid_text, make_probe, probe_grids
+from seqsweep.sweep.grid_probe import (
+    BAND_HZ,
+    SCHEMA_FILE,
+    GridSeen,
+    format_report,
+    grid_text,
+    make_probe,
+    probe_grids,
+    to_json,
+)
 from seqsweep.sweep.plan import make_plan
 from seqsweep.sweep.signals import tones
 from seqsweep.tuning.siso import parse_grid
@@ -377,6 +387,38 @@ def campaign(folder, plant="dpmsg-v1", parameters="", second="strong", scale=0.1
     return path
 
 
+def conforming(path):
+    """The JSON of a file, held against its schema."""
+    content = json.loads(path.read_text())
+    jsonschema.validate(content, json.loads(SCHEMA_FILE.read_text()))
+    return content
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c["operating_points"][0].pop("l_h"), "'l_h' is a required property"),
+        (lambda c: c["operating_points"][0].update(grid=None, reason=""), "should be non-empty"),
+        (lambda c: c["operating_points"][0]["lines"][3].update(z_std_ohm=-1.0), "less than the minimum"),
+        (lambda c: c["provenance"]["signal"].update(kind="chirp"), "is not one of"),
+        (lambda c: c.update(version="2.0.0"), "does not match"),
+    ],
+)
+def test_a_file_that_belies_the_schema_is_seen(change, words):
+    schema = json.loads(SCHEMA_FILE.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    config = {"campaign": {"name": "c"}, "plant": {"id": "dpmsg-v1"}, "sweep": {"f_hz": [75.0]}}
+    point = {"id": "p", "active_power_mw": 0.65, "grid": {"r_ohm": 0.012, "x_ohm": 0.25}}
+    plan = make_plan(Config.from_dict({**config, "operating_point": [point]}), TURBINE)
+    probe = make_probe("multisine", TURBINE, 0.02, 0.5)
+    seen = GridSeen("p", identify_grid(quiet_record(*GRIDS["strong, SCR 20"]), injection_of()), 20.0, "")
+    content = to_json([seen], probe, plan)
+    jsonschema.validate(content, schema)
+    change(content)
+    with pytest.raises(jsonschema.ValidationError, match=words):
+        jsonschema.validate(content, schema)
+
+
 def test_the_command_prints_what_tune_takes_and_writes_what_it_saw(tmp_path):
     done = call("grid", campaign(tmp_path), "-o", tmp_path / "grid.json", "--plot", tmp_path / "grid.png")
     assert done.returncode == 0, done.stderr
@@ -384,7 +426,7 @@ def test_the_command_prints_what_tune_takes_and_writes_what_it_saw(tmp_path):
     first, second = (parse_grid(text, F1_HZ) for text in texts)
     assert (first.r_ohm, first.x_ohm) == pytest.approx((0.012, 0.25), abs=1e-6)
     assert (second.r_ohm, second.x_ohm) == pytest.approx((0.0012, 0.025), abs=1e-6)
-    content = json.loads((tmp_path / "grid.json").read_text())
+    content = conforming(tmp_path / "grid.json")
     assert (content["format"], content["version"]) == ("seqsweep-grid", "1.0.0")
     point = content["operating_points"][0]
     assert point["scr"] == pytest.approx(690.0**2 / 1.632e6 / abs(0.012 + 0.25j), rel=1e-3)
@@ -399,7 +441,7 @@ def test_a_noisy_plant_gets_errors_and_an_unstable_grid_its_reason(tmp_path):
     done = call("grid", file, "--signal", "qrb", "-o", tmp_path / "grid.json")
     assert done.returncode == 1
     assert "beyond: diverged: the equilibrium is unstable" in done.stdout
-    point, beyond = json.loads((tmp_path / "grid.json").read_text())["operating_points"]
+    point, beyond = conforming(tmp_path / "grid.json")["operating_points"]
     assert 0.05 < point["r_std_ohm"] / 0.012 < 0.2
     assert abs(point["r_ohm"] - 0.012) < 4.0 * point["r_std_ohm"]
     assert abs(point["x_ohm"] - 0.25) < 4.0 * point["x_std_ohm"]

@@ -73,7 +73,7 @@ def test_a_fault_at_one_frequency_costs_that_frequency_alone(make, how, status, 
 def test_too_few_answers_are_a_fault_of_the_plant():
     plant = plants.FailingRecordingBranch("few")
     assert {(row.status, row.reason) for row in rows_of(plant, planned(plant, sweep={"f_hz": F_HZ, "probes": 0}))} == {
-        ("failed", "PlantFault: run gave 2 answers to 3 jobs")
+        ("failed", "run gave 2 answers to 3 jobs")
     }
 
 
@@ -82,6 +82,24 @@ def test_a_plant_that_cannot_settle_fails_every_row_with_its_own_words():
     rows = rows_of(plant, planned(plant))
     assert len(rows) == len(F_HZ)
     assert {(row.status, row.reason) for row in rows} == {("failed", "RuntimeError: no licence server found")}
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (ValueError("p_ref of 3 pu:\n  at most 1.2"), "p_ref of 3 pu: at most 1.2"),
+        (ValueError(), "ValueError"),
+        (KeyError("p_ref"), "KeyError: 'p_ref'"),
+        (ZeroDivisionError("division by zero"), "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_reason_is_the_message_and_the_class_where_the_message_says_nothing(error, reason, monkeypatch):
+    def refuse(*_):
+        raise error
+
+    plant = plants.UnwillingBranch()
+    monkeypatch.setattr(plant, "settle", refuse)
+    assert {row.reason for row in rows_of(plant, planned(plant))} == {reason}
 
 
 def test_a_steady_state_that_is_none_is_found_out():

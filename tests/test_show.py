@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import TableError, write_table
+from seqsweep.identify.table_format import TableError
+from seqsweep.identify.table_write import write_table
 from seqsweep.sweep.plot import MAX_OVERLAID, SUFFIXES, _without_streaks, bode, bode_figure
 from seqsweep.sweep.show import LISTED_UP_TO, MIN_WIDTH, summary
 

@@ -15,9 +15,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqsweep.identify import table
+from seqsweep.identify import table, table_format, table_write
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import TableError, iter_responses, read_table, validate_table, write_table
+from seqsweep.identify.table import iter_responses, read_table, validate_table
+from seqsweep.identify.table_format import TableError
+from seqsweep.identify.table_write import write_table
 
 F1_HZ = 50.0
 F_HZ = np.array([1.5, 23.7, 76.3, 100.0, 150.0, 999.5])
@@ -97,7 +99,7 @@ def test_metadata_survives_and_is_completed(path: Path) -> None:
     assert {key: meta[key] for key in given if key != "bases"} == {k: v for k, v in given.items() if k != "bases"}
     assert meta["bases"].items() > given["bases"].items()
     assert (meta["format"], meta["version"], meta["frame"]) == ("seqsweep-admittance", "1.0.0", "pn")
-    assert meta["configuration_sha256"] == table.content_hash(given["configuration"])
+    assert meta["configuration_sha256"] == table_format.content_hash(given["configuration"])
     assert table.read_metadata(path) == meta
 
 
@@ -119,16 +121,16 @@ def test_a_written_table_conforms(path: Path) -> None:
 
 def test_the_covariance_mapping_returns() -> None:
     covariance = np.asarray(response("p").covariance)
-    cov = table.pack_covariance(covariance)
+    cov = table_format.pack_covariance(covariance)
     assert cov.shape == (len(F_HZ), 36)
-    np.testing.assert_array_equal(table.unpack_covariance(cov), covariance)
+    np.testing.assert_array_equal(table_format.unpack_covariance(cov), covariance)
     np.testing.assert_array_equal(cov[:, :3], covariance[:, 0, :3])  # row after row ...
     np.testing.assert_array_equal(cov[:, 8], covariance[:, 1, 1])  # ... each from its diagonal on
 
 
 def test_the_standard_deviation_is_that_of_the_complex_value() -> None:
     covariance = np.diag([9.0, 16.0, 1.0, 0.0, 0.0, 4.0, 0.25, 0.0])[np.newaxis]
-    np.testing.assert_array_equal(table.std_of(covariance), [[5.0, 1.0, 2.0, 0.5]])
+    np.testing.assert_array_equal(table_format.std_of(covariance), [[5.0, 1.0, 2.0, 0.5]])
 
 
 def test_the_mirror_is_signed(path: Path) -> None:
@@ -159,7 +161,8 @@ def test_where_a_nan_came_from_leaves_no_trace(tmp_path: Path) -> None:
 
 
 def test_streaming_equals_at_once_across_row_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "ROW_GROUP_ROWS", 16)  # 5 x 6 rows: operating points straddle groups
+    for module in (table, table_write):
+        monkeypatch.setattr(module, "ROW_GROUP_ROWS", 16)  # 5 x 6 rows: operating points straddle groups
     op_ids = [f"p{k}" for k in range(5)]
     responses = [response(op_id, seed=k) for k, op_id in enumerate(op_ids)]
     write_table(tmp_path / "list.parquet", responses, metadata(*op_ids))
@@ -188,7 +191,7 @@ def test_the_table_knows_no_time_host_or_path(path: Path) -> None:
     content = path.read_bytes()
     assert str(path.parent).encode() not in content
     with pytest.raises(TableError, match="metadata has no place for host"):
-        table.complete_metadata(metadata("p") | {"host": "here"})
+        table_format.complete_metadata(metadata("p") | {"host": "here"})
 
 
 # Atomicity
@@ -258,7 +261,7 @@ def test_operating_points_of_different_length_are_refused(tmp_path: Path) -> Non
 def test_metadata_that_cannot_be_kept_is_refused(change: dict[str, Any], words: str) -> None:
     meta = {key: value for key, value in (metadata("a") | change).items() if value is not None}
     with pytest.raises(TableError, match=re.escape(words)):
-        table.complete_metadata(meta)
+        table_format.complete_metadata(meta)
 
 
 # Damaged and foreign files
@@ -332,7 +335,7 @@ def rewrite(path: Path, change: Change = lambda rows: rows, change_meta: MetaCha
     meta = json.loads(pq.read_metadata(path).metadata[b"seqsweep"])
     change_meta(meta)
     changed = change(rows)
-    meta["sha256"] = table.metadata_hash(meta)
+    meta["sha256"] = table_format.metadata_hash(meta)
     pq.write_table(changed.replace_schema_metadata({b"seqsweep": json.dumps(meta)}), path)
 
 
@@ -492,7 +495,7 @@ def test_the_format_page_lists_every_column_with_its_unit() -> None:
     rows = re.findall(
         r"^\| `(\w+)` \| (string|double|list of double) \| ([^|]*) \|", DOCS.read_text(encoding="utf-8"), re.MULTILINE
     )
-    expected = [(c.name, c.kind, c.unit) for c in table.COLUMNS]
+    expected = [(c.name, c.kind, c.unit) for c in table_format.COLUMNS]
     assert [(name, kind, unit.strip().strip("`")) for name, kind, unit in rows] == expected
 
 

@@ -16,7 +16,9 @@ import pytest
 from seqsweep.identify.fit import fit_response
 from seqsweep.identify.rational import evaluate_pn
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import TableError, read_table, write_table
+from seqsweep.identify.table import read_table
+from seqsweep.identify.table_format import TableError
+from seqsweep.identify.table_write import write_table
 from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
 from seqsweep.tuning.operating import grid_warnings, source_voltage_v
 from seqsweep.tuning.plot import bode_figure, locus_figure, plot_result, pole_figure

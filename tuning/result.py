@@ -189,7 +189,7 @@ def to_json(result: TuningResult) -> dict[str, Any]:
 
 def write_json(result: TuningResult, path: str | Path) -> None:
     """Write the result as JSON, atomically."""
-    from ..identify.table import atomic_file
+    from ..identify.atomic import atomic_file
 
     text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
     with atomic_file(path) as file:
