@@ -56,32 +56,25 @@ def measure(quick: bool) -> Report:
 
 
 def _steps(report: Report, folder: Path, name: str, defines: tuple[str, ...], n: int) -> None:
-    from seqsweep.plant.fmu_instance import Instance, Model, Ports
+    from seqsweep.plant.fmu import fmu_plant
     from seqsweep.plant.threephase import abc_of
     from tests.fmus import PARAMETERS, fmu, library
 
     path = fmu(folder, *defines)
     alone = _alone_ns(folder, library(str(folder), defines), n)
     v = 563.0 * np.exp(2j * np.pi * 50.0 * 50e-6 * np.arange(n))
-    u = abc_of(v)
-    from seqsweep.plant.fmu_archive import unpack
-
-    unpacked = folder / f"unpacked-{'-'.join(defines)}"
-    unpack(path, unpacked)
-    instance = Instance(Model(str(unpacked), "{4711}", "box", Ports((0, 1, 2), (3, 4, 5), ()), 50e-6, False))
-    instance.start()
-    instance.advance(u[:10])
-    hosted = _best_ns(lambda: instance.advance(u), n)
-    from seqsweep.plant.fmu import fmu_plant
-
     plant: Any = fmu_plant(str(path), **PARAMETERS)
     box = plant._branches._build()
     box.start(_point())
+    u = abc_of(v)
+    hosted = _best_ns(lambda: box._through(u), n)
     whole = _best_ns(lambda: box.advance(v), n)
     report.add(f"{name}: the FMU's own step, driven from C", alone, "ns")
     report.add(f"{name}: compiled loop over its functions, above that", hosted - alone, "ns", HOST_NS)
     report.add(f"{name}: the same with space vectors in and out, above that", whole - alone, "ns", HOST_NS)
-    report.add(f"{name}: a loop in Python over fmpy, above that", _fmpy_ns(instance, u[:20_000]) - alone, "ns")
+    report.add(
+        f"{name}: a loop in Python over fmpy, above that", _fmpy_ns(box._instance._slave, u[:20_000]) - alone, "ns"
+    )
 
 
 def _point() -> Any:
@@ -109,9 +102,7 @@ def _alone_ns(folder: Path, box: Path, n: int) -> float:
     return min(float(run.stdout.split()[0]) for run in runs)
 
 
-def _fmpy_ns(instance: Any, u: np.ndarray) -> float:
-    slave = instance._fmu
-
+def _fmpy_ns(slave: Any, u: np.ndarray) -> float:
     def loop() -> None:
         for k, row in enumerate(u):
             slave.setReal([0, 1, 2], row)

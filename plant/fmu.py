@@ -142,6 +142,7 @@ def fmu_plant(
     snapshot: Literal["auto", "state", "fork", "cold"] = "auto",
     settle_tolerance: float = 1e-8,
     patience_s: float = 30.0,
+    validate: bool = True,
 ) -> DrivenPlant:
     """The device in an FMU.
 
@@ -171,13 +172,15 @@ def fmu_plant(
         How its states are branched: by its own get and set, by a fork, by starting anew; "auto" takes the first it can.
     settle_tolerance, patience_s : float
         Change from one period to the next, over the peak, at which it counts as settled; simulated time (s) until then.
+    validate : bool
+        Whether a description that breaks the standard is refused.
 
     Raises
     ------
     ValueError
         If the file is no FMU that can be driven, or a variable is not what it should be; with its name.
     """
-    contents = contents_of(Path(file))
+    contents = contents_of(Path(file), validate)
     for name, value in {"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va}.items():
         if not 0.0 < value < inf:
             raise FmuError(f"{name} is {value:g}; needed: a finite number above 0")

@@ -78,8 +78,18 @@ def unpack(path: Path, folder: Path) -> None:
         raise ArchiveError(f"{path}: cannot be unpacked: {error}") from None
 
 
-def description_of(path: Path) -> Any:
-    """The model description of an FMU (fmpy's), read and validated without unpacking.
+def complaint_of(path: Path) -> str:
+    """What fmpy's validation says against the description of an FMU that can be read; nothing as a rule."""
+    try:
+        description_of(path)
+    except ArchiveError as refusal:
+        description_of(path, validate=False)
+        return str(refusal).removeprefix(f"{path}: ")
+    return ""
+
+
+def description_of(path: Path, validate: bool = True) -> Any:
+    """The model description of an FMU (fmpy's), read and, unless told otherwise, validated without unpacking.
 
     Raises
     ------
@@ -92,9 +102,11 @@ def description_of(path: Path) -> Any:
     except ImportError:
         raise ArchiveError(f"{path}: reading an FMU needs the extra: pip install 'seqsweep[fmu]'") from None
     try:
-        return read_model_description(str(path))
+        return read_model_description(str(path), validate=validate)
     except Exception as error:
-        raise ArchiveError(f"{path}: its model description is refused: {' '.join(str(error).split())[:300]}") from None
+        way_out = "; validate = false in [plant.parameters] takes it as it is" if validate else ""
+        words = " ".join(str(error).split())[:300].rstrip(".")
+        raise ArchiveError(f"{path}: its model description is refused: {words}{way_out}") from None
 
 
 def sha256_of(path: Path) -> str:

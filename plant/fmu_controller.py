@@ -96,7 +96,12 @@ class FmuController:
 
 
 def offer(
-    path: Path, settings: Mapping[str, Any], sample_time_s: float | None, mapped: Iterable[str], by_snapshot: bool
+    path: Path,
+    settings: Mapping[str, Any],
+    sample_time_s: float | None,
+    mapped: Iterable[str],
+    by_snapshot: bool,
+    validate: bool,
 ) -> Offer:
     """An FMU as a controller for a circuit in time; it is unpacked, but not loaded.
 
@@ -112,13 +117,15 @@ def offer(
         Outputs of the signal map; the others are not read.
     by_snapshot : bool
         Whether it may be asked to go back, where it can.
+    validate : bool
+        Whether a description that breaks the standard is refused.
 
     Raises
     ------
     ValueError
         If it cannot be driven, a setting does not fit, or the sample time is not known.
     """
-    contents = contents_of(path)
+    contents = contents_of(path, validate)
     before = [setting("settings", find_settable(contents, "settings", name), value) for name, value in settings.items()]
     inputs = [variable for variable in _numeric(contents, "input") if variable.name not in settings]
     outputs = _numeric(contents, "output")

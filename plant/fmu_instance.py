@@ -50,6 +50,8 @@ class Model(NamedTuple):
         Communication step (s).
     can_go_back : bool
         Whether its own get and set of the state are used.
+    needs : str
+        The tool that must be there for it to run; nothing for a self-contained FMU.
     """
 
     folder: str
@@ -63,6 +65,7 @@ class Model(NamedTuple):
     before: tuple[Setting, ...]
     dt_s: float
     can_go_back: bool
+    needs: str
 
 
 def unpacked(
@@ -95,6 +98,7 @@ def unpacked(
         tuple(before),
         float(dt_s),
         can_go_back,
+        contents.needs,
     )
 
 
@@ -157,7 +161,10 @@ class Instance:
             self._set(within)
             slave.exitInitializationMode()
         except Exception as error:
-            raise FmuFault(f"the FMU does not start: {' '.join(str(error).split())}{self._last_message()}") from None
+            needs = f"; it needs {self._model.needs}, installed or running" if self._model.needs else ""
+            raise FmuFault(
+                f"the FMU does not start: {' '.join(str(error).split())}{self._last_message()}{needs}"
+            ) from None
         self._block[fmi.INSTANCE] = int(slave.component)
         self.time[0] = 0.0
 

@@ -67,20 +67,25 @@ class Contents(NamedTuple):
         return f"{self.description.modelName} {self.description.version or ''}".strip()
 
     @property
+    def needs(self) -> str:
+        """The tool that must be there for it to run; nothing for a self-contained FMU."""
+        return tool_of(self.description) if self.description.coSimulation.needsExecutionTool else ""
+
+    @property
     def can_go_back(self) -> bool:
         """Whether it gets and sets its state."""
         return bool(self.description.coSimulation.canGetAndSetFMUstate)
 
 
-def contents_of(path: Path) -> Contents:
-    """The FMU, read without unpacking.
+def contents_of(path: Path, validate: bool) -> Contents:
+    """The FMU, read without unpacking; ``validate`` as in `description_of`.
 
     Raises
     ------
     ValueError
         If it is no FMU, or one that cannot be driven here; with the way out.
     """
-    description = description_of(path)
+    description = description_of(path, validate)
     version = int(description.fmiVersion.partition(".")[0])
     if version not in VERSIONS or description.coSimulation is None:
         kinds = [kind for kind in ("modelExchange", "coSimulation") if getattr(description, kind) is not None]
@@ -88,8 +93,6 @@ def contents_of(path: Path) -> Contents:
             f"{path}: FMI {description.fmiVersion}, {' and '.join(kinds) or 'no interface'}; needed: FMI 2.0 or 3.0 "
             "for co-simulation, which most tools export on request"
         )
-    if description.coSimulation.needsExecutionTool:
-        raise FmuError(f"{path}: it needs the tool it comes from, running; export it as a self-contained FMU")
     from fmpy import platform, supported_platforms
 
     offered = supported_platforms(str(path))
@@ -99,6 +102,11 @@ def contents_of(path: Path) -> Contents:
             "for this one, or drive it elsewhere by process:COMMAND"
         )
     return Contents(path, description, version, {variable.name: variable for variable in description.modelVariables})
+
+
+def tool_of(description: Any) -> str:
+    """What an FMU was made with."""
+    return str(description.generationTool or "an unnamed tool")
 
 
 def width_of(variable: Any) -> int:

@@ -68,6 +68,8 @@ class GreyTurbine:
         the peak, that ends it.
     snapshot : "auto", "states", "fork" or "copy"
         How states are kept; see `SNAPSHOTS`.
+    validate : bool
+        Whether an FMU whose description breaks the standard is refused.
     damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz : float
         Damping control at the measurement port, as in `dpmsg.ReferenceTurbine`; sampled with the controller.
     **parameters : float
@@ -94,6 +96,7 @@ class GreyTurbine:
         patience_s: float = 60.0,
         settle_tolerance: float = 1e-10,
         snapshot: str = "auto",
+        validate: bool = True,
         damping_gain: float = 0.0,
         damping_r_ohm: float = LINE_R_OHM,
         damping_l_h: float = LINE_L_H,
@@ -107,7 +110,7 @@ class GreyTurbine:
         for name, table in {"settings": settings or {}, "inputs": inputs, "outputs": outputs}.items():
             if not isinstance(table, Mapping):
                 raise ValueError(f"{name} is {table!r}; {self.id} needs a table")
-        offer = _offer(controller, settings or {}, outputs, sample_time_s, snapshot)
+        offer = _offer(controller, settings or {}, outputs, sample_time_s, snapshot, validate)
         if offer.folder is not None:
             weakref.finalize(self, shutil.rmtree, offer.folder, ignore_errors=True)
         self._offer = offer
@@ -255,6 +258,7 @@ def _offer(
     outputs: Mapping[str, Any],
     sample_time_s: float | None,
     snapshot: str,
+    validate: bool,
 ) -> Offer:
     """The controller by its kind, read and ready to be opened."""
     kind, colon, rest = str(controller).partition(":")
@@ -272,7 +276,8 @@ def _offer(
         return cigre.offer(Path(rest), settings, sample_time_s)
     from . import fmu_controller
 
-    return fmu_controller.offer(Path(rest), settings, sample_time_s, outputs, snapshot in ("auto", "states"))
+    by_snapshot = snapshot in ("auto", "states")
+    return fmu_controller.offer(Path(rest), settings, sample_time_s, outputs, by_snapshot, validate)
 
 
 def _kept(snapshot: str, offer: Offer, controller: str) -> str:

@@ -126,19 +126,24 @@ def _introduction(path: Path) -> str:
 
 
 def _fmu(path: Path) -> Iterator[str]:
-    from ..plant.fmu_archive import description_of, look_through, sha256_of
+    from ..plant.fmu_archive import complaint_of, description_of, look_through, sha256_of
+    from ..plant.fmu_variables import tool_of
 
-    members = look_through(path)
-    content = description_of(path)
+    members, complaint = look_through(path), complaint_of(path)
+    content = description_of(path, validate=False)
     yield f"{path}: FMI {content.fmiVersion}, model {content.modelName} {content.version or ''}".rstrip()
-    yield f"  sha256 {sha256_of(path)}, from {content.generationTool or 'an unnamed tool'}"
+    yield f"  sha256 {sha256_of(path)}, from {tool_of(content)}"
     yield f"  {len(members)} members, {sum(m.size for m in members)} bytes unpacked; no path or link leads elsewhere"
+    if complaint:
+        yield f"  {complaint}"
     interface = content.coSimulation
     if interface is None:
         yield "  no co-simulation: it cannot be driven here"
         return
     how = "its own get and set" if interface.canGetAndSetFMUstate else "a fork of its process"
     yield f"  co-simulation; its states are branched by {how}"
+    if interface.needsExecutionTool:
+        yield f"  it runs only where {tool_of(content)} is installed or running; a self-contained export needs nothing"
     for causality in ("input", "output", "parameter"):
         named = [v for v in content.modelVariables if v.causality == causality]
         yield from _listed(f"{causality}s", [_variable(v) for v in named])

@@ -117,6 +117,42 @@ def test_settings_of_whole_numbers_reach_the_fmu():
     assert records[0].i.tobytes() == records[1].i.tobytes()
 
 
+PYTHON_CONTROLLER = Path(__file__).parent / "boxes" / "python_controller.py"
+
+
+def exported(folder, exporter):
+    """The same controls in Python as an FMU by somebody else's exporter: "pythonfmu" or "pythonfmu3"."""
+    builder = pytest.importorskip(f"{exporter}.builder").FmuBuilder
+    text = PYTHON_CONTROLLER.read_text("utf-8")
+    if exporter == "pythonfmu3":
+        for old, new in (("from pythonfmu ", "from pythonfmu3 "), ("Fmi2", "Fmi3"), ("Real", "Float64")):
+            text = text.replace(old, new)
+    script = folder / f"{exporter}_controller.py"
+    script.write_text(text, "utf-8")
+    return builder.build_FMU(str(script), dest=str(folder))
+
+
+@pytest.mark.parametrize(("exporter", "validate"), [("pythonfmu", True), ("pythonfmu3", False)])
+def test_an_fmu_from_an_exporter_of_somebody_elses_is_the_library_too(tmp_path, exporter, validate):
+    """PythonFMU: no state to get, the interpreter within; another text of the same controls. PythonFMU3 leaves the
+    independent variable out, which the standard wants."""
+    units = {**{f"v_{p}": "V" for p in "abc"}, **{f"i_{p}": "A" for p in "abc"}, "v_dc": "V"}
+    inputs = {name: {"signal": signal, "unit": units[name]} for name, signal in INPUTS_2.items() if name in units}
+    outputs = {name: {"signal": signal, "unit": "V"} for name, signal in OUTPUTS_2.items()}
+    path = exported(tmp_path, exporter)
+    told = {"inputs": {**inputs, "v_dc_ref": 1200.0}, "outputs": outputs, "sample_time_s": 50e-6}
+    if not validate:
+        with pytest.raises(ValueError, match=r"independent variable .*; validate = false in"):
+            GreyTurbine(f"fmu:{path}", **told)
+    theirs = GreyTurbine(f"fmu:{path}", **told, validate=validate, settle_tolerance=1e-9)
+    ours = library("SAMPLE_TIME_S=50e-6")
+    (_, y), (_, expected) = (swept(device, {"f_hz": [150.0, 400.0]}) for device in (theirs, ours))
+    error = np.max(np.abs(y / expected - 1.0))
+    print(f"\n  {exporter}: {error:.1e} from the library", end="")
+    assert error <= 1e-5  # the tolerance between the windows of a sweep
+    assert isinstance(theirs._branched._branches, Forks)
+
+
 # ---------------------------------------------------------------------- the promise of a plant
 
 
