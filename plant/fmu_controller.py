@@ -22,12 +22,12 @@ from .wiring import Terminal
 
 
 class Port(NamedTuple):
-    """A terminal, and the variable behind it: its type, its reference, whether it can be set before the start."""
+    """A terminal, and the variable behind it: its type, its reference, whether the start may be told what it holds."""
 
     terminal: Terminal
     type: str
     reference: int
-    settable: bool
+    told: bool
 
 
 class FmuController:
@@ -43,7 +43,6 @@ class FmuController:
 
     def __init__(self, model: Model, inputs: tuple[Port, ...], outputs: tuple[Port, ...]):
         self._instance, self._inputs, self._outputs = Instance(model), inputs, outputs
-        self._mapped = {reference for group in model.outputs for reference in group.references}
         self.input_terminals = tuple(port.terminal for port in inputs)
         self.output_terminals = tuple(port.terminal for port in outputs)
         self.inputs, self.outputs = self._instance.inputs, self._instance.outputs
@@ -61,9 +60,8 @@ class FmuController:
         FmuFault
             If a call is refused.
         """
-        before = [port for port in self._outputs if port.settable and port.reference in self._mapped]
         self._instance.start(
-            [_held(port, self.outputs.cells) for port in before],
+            [_held(port, self.outputs.cells) for port in self._outputs if port.told],
             [_held(port, self.inputs.cells) for port in self._inputs],
         )
         self.check()
@@ -166,7 +164,8 @@ def _ports(contents: Contents, variables: list[Any], in_memory: list[Any]) -> tu
     for variable in variables:
         kind, first, width = cells.get(variable.name, all_cells[variable.name])
         terminal = Terminal(variable.name, _unit(variable), width, kind, first)
-        ports.append(Port(terminal, variable.type, variable.valueReference, is_settable(variable)))
+        told = variable.name in cells and is_settable(variable)
+        ports.append(Port(terminal, variable.type, variable.valueReference, told))
     return tuple(ports)
 
 

@@ -153,10 +153,7 @@ def find_power(contents: Contents, name: str) -> Any:
 
 def is_settable(variable: Any) -> bool:
     """Whether the standard lets a variable be set before initialization."""
-    return variable.causality in ("parameter", "input") or variable.initial in (
-        "exact",
-        "approx",
-    )
+    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
 def setting(key: str, variable: Any, value: Any) -> Setting:
