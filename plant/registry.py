@@ -342,7 +342,7 @@ def in_words(error: BaseException) -> str:
     """What an error says; its class is told, too, where the text alone may be no sentence."""
     text = " ".join(str(error).split())
     ours = type(error).__module__.startswith(f"{_OURS}.")
-    is_clear = ours or isinstance(error, ValueError | ImportError)
+    is_clear = ours or isinstance(error, ValueError | ImportError | RuntimeError)
     return text if text and is_clear else f"{type(error).__name__}: {text}".rstrip(": ")
 
 

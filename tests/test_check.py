@@ -349,7 +349,7 @@ def test_a_gate_that_fails_ends_the_list_and_anything_else_does_not():
 
 
 def test_what_a_plant_raises_is_told_in_one_line():
-    assert check_plant(Raises())[-1] == Finding("samples", False, "RuntimeError: segment 7 has no licence")
+    assert check_plant(Raises())[-1] == Finding("samples", False, "segment 7 has no licence")
     assert check_plant(NeverSettles())[-1].detail == "the equilibrium is unstable"
     (shunt,) = (finding for finding in check_plant(ShuntCurrentStopsIt()) if finding.name == "shunt_refused")
     assert shunt.detail == "a ValueError is promised; it raised NotImplementedError: no current source here"
