@@ -10,6 +10,7 @@ from __future__ import annotations
 import cmath
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil, pi, sqrt
 
 import numpy as np
@@ -33,6 +34,7 @@ from .protocol import (
     Window,
 )
 from .sources import check_source, series_tones, turns
+from .waveform import common_period, waveform
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
@@ -249,8 +251,8 @@ class ReferenceTurbine:
     def _compensated(self) -> bool:
         return self.compensation != Compensation()
 
-    def _kernel(self, source_kind: str) -> Callable[..., None]:
-        """The kernel for a source; only that one is compiled or loaded."""
+    def _kernel(self, source_kind: str, table: np.ndarray) -> Callable[..., None]:
+        """The kernel for a source, told its table; only that one is compiled or loaded."""
         from .kernels import turbine as kernel
 
         ideal = source_kind == "ideal"
@@ -259,8 +261,33 @@ class ReferenceTurbine:
 
             return turbine_emt.advance_ideal if ideal else turbine_emt.advance_thevenin
         if self._compensated:
-            return kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated
-        return kernel.advance_ideal if ideal else kernel.advance_thevenin
+            return partial(kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated, table)
+        return partial(kernel.advance_ideal if ideal else kernel.advance_thevenin, table)
+
+    def _source_table(self, jobs: list[Job]) -> np.ndarray:
+        """The jobs' sources over a period as the kernel's table, (n, 4, LANES); of no rows where tones are cheaper."""
+        from .kernels.turbine import LANES
+
+        rows_per_s = 2.0 / self.dt_s
+        in_frame = [
+            [
+                (f_hz - self.f1_hz, v / _PHASE_PEAK)
+                for f_hz, v in series_tones(job.injection, source, _grid_impedance(source))
+            ]
+            for job in jobs
+            for source in [job.state.source]
+        ]
+        n_rows = 0 if self.integrator == "emt" else common_period(in_frame, rows_per_s)
+        table = np.zeros((n_rows, 4, LANES))
+        for lane in range(LANES if n_rows else 0):
+            member = lane if lane < len(jobs) else 0  # idle lanes follow the first
+            state = jobs[member].state
+            spectrum = [(0.0, state.v_source), *in_frame[member]]
+            forced = [(f_hz, self._shunt_voltage_ratio(f_hz + self.f1_hz) * v) for f_hz, v in spectrum]
+            for quantity, of in ((0, spectrum), (2, forced)):
+                wave = waveform(of, rows_per_s, n_rows, 2 * state.step)
+                table[:, quantity, lane], table[:, quantity + 1, lane] = wave.real, wave.imag
+        return table
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
@@ -347,9 +374,11 @@ class ReferenceTurbine:
             of_kind = [m for m, job in enumerate(jobs) if job.state.source.kind == kind]
             for first in range(0, len(of_kind), LANES):
                 members = of_kind[first : first + LANES]
-                n_tones = max(_n_tones(jobs[m].injection) for m in members)
-                slots = self._fill([jobs[m] for m in members], [windows[m] for m in members], block_steps, n_tones)
-                yield slots.ravel(), members, self._kernel(kind), n_tones
+                together = [jobs[m] for m in members]
+                table = self._source_table(together)
+                n_tones = 0 if len(table) else max(_n_tones(job.injection) for job in together)
+                slots = self._fill(together, [windows[m] for m in members], block_steps, n_tones)
+                yield slots.ravel(), members, self._kernel(kind, table), n_tones
 
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
         from .kernels import turbine as kernel
@@ -383,7 +412,8 @@ class ReferenceTurbine:
         _set_complex(x, kernel.TAPER_ROT_RE, turns(1.0 / (window.n_blocks * block_steps)))
         mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
         x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
-        for tone, (f_hz, amplitude) in enumerate(series_tones(job.injection, source, _grid_impedance(source))):
+        tones = list(series_tones(job.injection, source, _grid_impedance(source)))
+        for tone, (f_hz, amplitude) in enumerate(tones[:n_tones]):  # the others are in the table
             slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
             _set_complex(x, slot, amplitude / _PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
             _set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))

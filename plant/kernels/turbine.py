@@ -416,6 +416,29 @@ def _further_tones(x, n_tones):
             x[first + lane], x[first + LANES + lane] = re, im
 
 
+@njit(forceinline=True)
+def _tabled_source(x, table, row):
+    """The source of this step from its ``table``, whose rows are half steps of one period."""
+    n_rows = table.shape[0]
+    for place in range(3):
+        at = (row + place) % n_rows
+        for quantity in range(2):
+            for lane in range(LANES):
+                x[(SOURCE + 2 * place + quantity) * LANES + lane] = table[at, quantity, lane]
+                x[(SOURCE + 6 + 2 * place + quantity) * LANES + lane] = table[at, 2 + quantity, lane]
+
+
+@njit(forceinline=True)
+def _next_source(x, n_tones, table, row):
+    """The source of the next step, but for the first tone; the row of the table after it."""
+    if table.shape[0] > 0:
+        _tabled_source(x, table, row)
+        return (row + 2) % table.shape[0]
+    if n_tones > 1:
+        _further_tones(x, n_tones)
+    return row
+
+
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _source(x, lane):
     """Source voltage at start, middle and end of the step, and the shunt voltage it forces; the first tone moves on."""
@@ -445,11 +468,9 @@ def _source(x, lane):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal(x, n_tones, p, h, decay):
+def _step_ideal(x, p, h, decay):
     """One step with the source at the PCC itself; ``decay`` is the shunt's over a step."""
     decay_re, decay_im = decay
-    if n_tones > 1:
-        _further_tones(x, n_tones)
     for lane in range(LANES):
         wind = x[WIND * LANES + lane]
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
@@ -483,10 +504,8 @@ def _step_ideal(x, n_tones, p, h, decay):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin(x, n_tones, p, h):
+def _step_thevenin(x, p, h):
     """One step behind the lane's Thevenin impedance."""
-    if n_tones > 1:
-        _further_tones(x, n_tones)
     for lane in range(LANES):
         wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
@@ -522,11 +541,9 @@ def _step_thevenin(x, n_tones, p, h):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal_compensated(x, n_tones, p, h, decay):
+def _step_ideal_compensated(x, p, h, decay):
     """`_step_ideal` with the lanes' compensation before the controller; ``decay`` is over half a step."""
     half_re, half_im = decay
-    if n_tones > 1:
-        _further_tones(x, n_tones)
     for lane in range(LANES):
         wind, block = x[WIND * LANES + lane], _load_4(x, COMP_R, lane)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
@@ -565,11 +582,9 @@ def _step_ideal_compensated(x, n_tones, p, h, decay):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin_compensated(x, n_tones, p, h, turn):
+def _step_thevenin_compensated(x, p, h, turn):
     """`_step_thevenin` with compensation, and the lanes' fault at the PCC, turned by ``turn`` a half step."""
     turn_re, turn_im = turn
-    if n_tones > 1:
-        _further_tones(x, n_tones)
     for lane in range(LANES):
         constants = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         block = _load_4(x, COMP_R, lane)
@@ -627,15 +642,18 @@ def _keep(x, slot, kept, block):
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal(table, x, n_tones, p, h, block_steps, slot, kept):
     """Advance all lanes by blocks, with the source at the PCC itself.
 
     Parameters
     ----------
+    table : (n, 4, LANES) array
+        Source voltage (re, im) and the shunt voltage that it forces, at the half steps of one period from the first
+        step on; of no rows where the source is made of tones.
     x : flat array
         Everything of the lanes; see the slots above.
     n_tones : int
-        Tones of a lane.
+        Tones of a lane, beside the table.
     p : TurbineParameters
         The same for all lanes.
     h : float
@@ -650,45 +668,53 @@ def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
     """
     decay = _shunt_decay(p, h)
     _prepare_source(x, n_tones)
+    row = 0
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
-            _step_ideal(x, n_tones, p, h, decay)
+            row = _next_source(x, n_tones, table, row)
+            _step_ideal(x, p, h, decay)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin(x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' Thevenin impedances before the PCC."""
     _prepare_source(x, n_tones)
+    row = 0
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
-            _step_thevenin(x, n_tones, p, h)
+            row = _next_source(x, n_tones, table, row)
+            _step_thevenin(x, p, h)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal_compensated(x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the source at the PCC and the lanes' compensation before the controller."""
     decay = _shunt_decay(p, 0.5 * h)
     _prepare_source(x, n_tones)
+    row = 0
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
-            _step_ideal_compensated(x, n_tones, p, h, decay)
+            row = _next_source(x, n_tones, table, row)
+            _step_ideal_compensated(x, p, h, decay)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin_compensated(x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' impedances, compensations and faults."""
     turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
     _prepare_source(x, n_tones)
+    row = 0
     for block in range(kept.shape[0]):
         _clear_sums(x)
         for _ in range(block_steps):
-            _step_thevenin_compensated(x, n_tones, p, h, turn)
+            row = _next_source(x, n_tones, table, row)
+            _step_thevenin_compensated(x, p, h, turn)
         _keep(x, slot, kept, block)
 
 
@@ -703,7 +729,7 @@ def advance_tracing(x, p, h, sample_steps, samples):
     for k in range(samples.shape[0]):
         samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
         for step in range(sample_steps):
-            _step_thevenin_compensated(x, 0, p, h, turn)
+            _step_thevenin_compensated(x, p, h, turn)
             if step == 0:
                 for quantity in range(4):
                     samples[k, quantity] = x[(V_RE + quantity) * LANES]
