@@ -36,7 +36,7 @@ class FmuController:
     Parameters
     ----------
     model : Model
-        The unpacked FMU; it is loaded into this process.
+        The unpacked FMU; it is loaded into this process at its first start.
     inputs, outputs : tuple of Port
         Its ports. Outputs that are not in the signal map have no memory: nobody gets them.
     """

@@ -108,7 +108,7 @@ class Instance:
     Parameters
     ----------
     model : Model
-        The FMU; it is loaded into this process.
+        The FMU; it is loaded into this process at its first start.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Instance:
         from .kernels import fmi
 
         self._model, self._version = model, VERSIONS[model.version]
-        self._slave = self._version.load(model.folder, model.guid, model.identifier)
+        self._slave: Any = None
         self._messages: list[str] = []
         self.inputs, self.outputs = Stretch("inputs", model.n_input_bytes), Stretch("outputs", model.n_output_bytes)
         self._references = [np.array(group.references, np.uint32) for group in (*model.inputs, *model.outputs)]
@@ -138,7 +138,6 @@ class Instance:
         times[fmi.STEP_SIZE] = model.dt_s
         self.time = times[fmi.TIME : fmi.TIME + 1]
         self.addresses = np.array([fmi.STEPS[model.version], self._block.ctypes.data], np.int64)
-        self._fill_in()
 
     def start(self, before: Sequence[Setting] = (), within: Sequence[Setting] = ()) -> None:
         """Begin at time zero with the start values of the model, and more set ``before`` and ``within`` initialization.
@@ -150,8 +149,8 @@ class Instance:
         """
         from .kernels import fmi
 
-        slave = self._slave
         try:
+            slave = self._slave = self._slave or self._loaded()
             if slave.component is None:
                 self._version.instantiate(slave, self._messages)
             else:
@@ -197,22 +196,24 @@ class Instance:
         """Give the snapshot back to the FMU."""
         getattr(self._slave, f"free{self._version.state}")(snapshot)
 
-    def _fill_in(self) -> None:
-        """The block of numbers that a step reads: `kernels.fmi`."""
+    def _loaded(self) -> Any:
+        """The FMU in this process, and in the block the numbers that a step reads: `kernels.fmi`."""
         from .kernels import fmi
 
         model, block = self._model, self._block
-        block[fmi.DO_STEP] = self._address("DoStep")
+        slave = self._version.load(model.folder, model.guid, model.identifier)
+        block[fmi.DO_STEP] = self._address(slave, "DoStep")
         block[fmi.NO_WAY_BACK] = not model.can_go_back
         block[fmi.N_SETS], block[fmi.N_GETS] = len(model.inputs), len(model.outputs)
         memories = [self.inputs.address] * len(model.inputs) + [self.outputs.address] * len(model.outputs)
         groups = (*model.inputs, *model.outputs)
         for k, (group, memory, references) in enumerate(zip(groups, memories, self._references, strict=True)):
             values = memory + group.first, group.n_values
-            block[fmi.group(k)] = self._address(self._calls[k]), references.ctypes.data, len(references), *values
+            block[fmi.group(k)] = self._address(slave, self._calls[k]), references.ctypes.data, len(references), *values
+        return slave
 
-    def _address(self, call: str) -> int:
-        function = getattr(self._slave.dll, f"{self._version.prefix}{call}")
+    def _address(self, slave: Any, call: str) -> int:
+        function = getattr(slave.dll, f"{self._version.prefix}{call}")
         return ctypes.cast(function, ctypes.c_void_p).value or 0
 
     def _set(self, settings: Sequence[Setting]) -> None:

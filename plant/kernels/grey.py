@@ -13,12 +13,12 @@ one of them, `Wiring` says which cell holds which quantity.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
-
-from .calls import called
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
 
 # Quantities that a controller may be told; vectors are re, im. The last one is zero.
 V_RE, V_IM, I_L_RE, I_L_IM, I_G_RE, I_G_IM, V_DC, P_PCC, Q_PCC, TIME, P_REF, V_REF, ONE, ZERO = range(14)
@@ -165,6 +165,19 @@ class Tones(NamedTuple):
     forcing: np.ndarray
 
 
+def _call(typing_context, function, argument):
+    """Result (int32) of the C function at address ``function``, given the address ``argument``."""
+
+    def code(context, builder, signature, arguments):
+        prototype = ir.FunctionType(ir.IntType(32), [ir.IntType(64)])
+        return builder.call(builder.inttoptr(arguments[0], prototype.as_pointer()), [arguments[1]])
+
+    return types.int32(types.int64, types.int64), code
+
+
+_called: Any = intrinsic(_call)
+
+
 @njit(forceinline=True, error_model="numpy")
 def _tell(cells, kind, cell, value):
     if kind == F8:
@@ -288,7 +301,7 @@ def _step(box, source, network, store, step, quantities, x, energy):
     box.time[0] = step * store.dt_s
     quantities[TIME] = box.time[0]
     _inform(box, quantities)
-    if called(box.addresses[0], box.addresses[1]) not in (0, 1):
+    if _called(box.addresses[0], box.addresses[1]) not in (0, 1):
         return v, i, energy, REFUSED
     command = _command(box)
     if not (math.isfinite(command.real) and math.isfinite(command.imag)):
