@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 from .driven import Branches
@@ -121,17 +122,29 @@ class Listen:
 
 @dataclass(frozen=True)
 class Watch:
-    """Go on under other surroundings, with a trace."""
+    """Go on under other surroundings, with a trace; made by `watch`.
+
+    A way of thousands of these is hashed, compared and sent at every one of them: equal ones are the same object.
+    """
 
     conditions: Conditions
     n_steps: int
 
     def __hash__(self) -> int:
-        return self.n_steps  # cheap: a way of thousands of these is hashed at every one of them
+        return self.n_steps
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return watch, (self.conditions, self.n_steps)
 
     def __call__(self, box: Forwards) -> tuple[float, Trace]:
         box.state, trace = box.plant.trace(box.state, self.conditions, self.n_steps)
         return float(box.state.time_s), trace
+
+
+@lru_cache(maxsize=1024)
+def watch(conditions: Conditions, n_steps: int) -> Watch:
+    """The one action that goes on under ``conditions`` for ``n_steps``."""
+    return Watch(conditions, n_steps)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from .branched import Branched, BranchedState, Calm, Forwards, Listen, Rest, Run, Settle, Watch, is_whole
+from .branched import Branched, BranchedState, Calm, Forwards, Listen, Rest, Run, Settle, Watch, is_whole, watch
 from .branches import Replays, SnapshotBox, Snapshots
 from .damping import checked_compensation
 from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
@@ -183,7 +183,7 @@ class GreyTurbine:
     def trace(self, state: Any, conditions: Conditions, n_steps: int) -> tuple[Any, Trace]:
         """Go on under ``conditions``; see `MeasuredPlant.trace`, and `SampledTurbine.trace` for what is shown."""
         if isinstance(state, BranchedState):
-            return self._go_on(state, Watch(conditions, n_steps))
+            return self._go_on(state, watch(conditions, n_steps))
         return self._core.trace(state, conditions, n_steps)
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[Any, Record]]:

@@ -410,11 +410,13 @@ def advance_tracing(
     """
     if not energy > 0.0:  # the step before this stretch was the last one
         return energy, EMPTY
+    e = source.phasors[0]
+    per_square = 1.0 / (e.real**2 + e.imag**2)
     for k in range(len(v_out)):
-        e = source.phasors[0]
+        e = source.phasors[0].conjugate()
         v_out[k], i_out[k], energy, end = _step(box, source, network, skew, store, step + k, quantities, x, energy)
         v_dc_out[k] = quantities[V_DC]
-        seen[k + 1] = seen[k] + seen_share * (v_out[k] / e - seen[k])
+        seen[k + 1] = seen[k] + seen_share * (v_out[k] * e * per_square - seen[k])
         if end != DONE:
             return energy, end
     return energy, DONE
