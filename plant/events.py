@@ -134,7 +134,7 @@ class Trajectory:
     blocked, active : (m,) bool
         |v_pcc| too low to judge; damping control started and not yet stopped.
     lost_s : float or None
-        When the PLL was half a turn from the source: synchronism lost (s).
+        When the PLL, or what stands for it in ``sync_rad``, was half a turn from the source: synchronism lost (s).
     """
 
     time_s: np.ndarray
