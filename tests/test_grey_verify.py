@@ -162,6 +162,15 @@ def test_nothing_is_mutated_and_what_physics_keeps_is_continuous():
     assert back.v_dc_v[0] == pytest.approx((2.0 * middle.energy / TABLE_I.c_dc_f) ** 0.5, rel=1e-12)
 
 
+def test_from_an_empty_dc_link_nothing_goes_on():
+    """A step that empties it leaves NaN as its energy; the controller is not asked any more, and all is NaN."""
+    state = replace(behind(1.0), energy=np.nan)
+    end, trace = library().trace(state, ON_LINE, 50)
+    assert end.memory == state.memory
+    for x in (trace.v_dc_v, trace.sync_rad, trace.record.v, trace.record.i):
+        assert np.all(np.isnan(x))
+
+
 def test_rotor_speed_is_not_known_and_synchronism_is_the_angle_of_the_terminal_voltage():
     state = behind(1.0)
     _, trace = library().trace(state, ON_LINE, 100)
