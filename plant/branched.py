@@ -9,11 +9,33 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Any, Protocol
 
 from .driven import Branches
 from .forked import Way
-from .protocol import Injection, Job, OperatingPoint, PhasorPlant, Phasors, Plant, Record, Source, Window
+from .protocol import (
+    Conditions,
+    Injection,
+    Job,
+    MeasuredPlant,
+    OperatingPoint,
+    PhasorPlant,
+    Phasors,
+    Plant,
+    Record,
+    Source,
+    Trace,
+    Window,
+)
+
+
+class Calming(PhasorPlant, MeasuredPlant, Protocol):
+    """A plant whose `equilibrium` is near, and comes nearer by waiting."""
+
+    def calmed(self, state: Any) -> Any:
+        """Onwards until the waveforms repeat; `NotSettled` where they do not."""
+        ...
 
 
 class Forwards:
@@ -21,11 +43,11 @@ class Forwards:
 
     Parameters
     ----------
-    plant : Plant
+    plant : Calming
         Driven from the state it returned last, and from no other.
     """
 
-    def __init__(self, plant: PhasorPlant):
+    def __init__(self, plant: Calming):
         self.plant = plant
         self.state: Any = None
 
@@ -37,9 +59,38 @@ class Settle:
     operating_point: OperatingPoint
     source: Source
 
+    def of(self, plant: Calming) -> Any:
+        """The state of ``plant``."""
+        return plant.settle(self.operating_point, self.source)
+
     def __call__(self, box: Forwards) -> float:
-        box.state = box.plant.settle(self.operating_point, self.source)
+        box.state = self.of(box.plant)
         return float(box.state.time_s)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Bring a cold plant to its equilibrium."""
+
+    operating_point: OperatingPoint
+    source: Source
+
+    def of(self, plant: Calming) -> Any:
+        """The state of ``plant``."""
+        return plant.equilibrium(self.operating_point, self.source)
+
+    def __call__(self, box: Forwards) -> float:
+        box.state = self.of(box.plant)
+        return float(box.state.time_s)
+
+
+@dataclass(frozen=True)
+class Calm:
+    """Wait until the waveforms repeat."""
+
+    def __call__(self, box: Forwards) -> tuple[float, None]:
+        box.state = box.plant.calmed(box.state)
+        return float(box.state.time_s), None
 
 
 @dataclass(frozen=True)
@@ -69,6 +120,33 @@ class Listen:
         return float(box.state.time_s), phasors
 
 
+@dataclass(frozen=True)
+class Watch:
+    """Go on under other surroundings, with a trace; made by `watch`.
+
+    A way of thousands of these is hashed, compared and sent at every one of them: equal ones are the same object.
+    """
+
+    conditions: Conditions
+    n_steps: int
+
+    def __hash__(self) -> int:
+        return self.n_steps
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return watch, (self.conditions, self.n_steps)
+
+    def __call__(self, box: Forwards) -> tuple[float, Trace]:
+        box.state, trace = box.plant.trace(box.state, self.conditions, self.n_steps)
+        return float(box.state.time_s), trace
+
+
+@lru_cache(maxsize=1024)
+def watch(conditions: Conditions, n_steps: int) -> Watch:
+    """The one action that goes on under ``conditions`` for ``n_steps``."""
+    return Watch(conditions, n_steps)
+
+
 @dataclass(frozen=True, slots=True)
 class BranchedState:
     """The way to a state, and its time."""
@@ -83,12 +161,11 @@ class Branched:
     def __init__(self, branches: Branches):
         self._branches = branches
 
-    def settle(self, operating_point: OperatingPoint, source: Source) -> BranchedState:
-        """The steady state, found in a cold plant."""
-        action = Settle(operating_point, source)
+    def begin(self, action: Settle | Rest) -> BranchedState:
+        """The state that ``action`` finds in a cold plant."""
         return BranchedState(self._branches.act((), action), (action,))
 
-    def go_on(self, state: BranchedState, action: Run | Listen) -> tuple[BranchedState, Any]:
+    def go_on(self, state: BranchedState, action: Run | Listen | Watch | Calm) -> tuple[BranchedState, Any]:
         """The state after ``action``, and its answer."""
         time_s, answer = self._branches.act(state.way, action)
         return BranchedState(time_s, (*state.way, action)), answer

@@ -134,7 +134,7 @@ class Trajectory:
     blocked, active : (m,) bool
         |v_pcc| too low to judge; damping control started and not yet stopped.
     lost_s : float or None
-        When the PLL was half a turn from the source: synchronism lost (s).
+        When the PLL, or what stands for it in ``sync_rad``, was half a turn from the source: synchronism lost (s).
     """
 
     time_s: np.ndarray
@@ -226,8 +226,8 @@ def simulate(
     Raises
     ------
     ValueError
-        If the plant has no measurement port, its step does not divide 2 ms, its own damping is on, or
-        its fundamental is not that of ``damping``.
+        If the plant has no measurement port, its step does not divide 2 ms, its own damping is on,
+        its fundamental is not that of ``damping``, or it cannot do what an event asks; all before anything is run.
     NotSettled
         If there is no initial state.
     """
@@ -238,6 +238,7 @@ def simulate(
     if settings.f1_hz != port.f1_hz:
         raise ValueError(f"the damping control is set for {settings.f1_hz:g} Hz; {port.id} has {port.f1_hz:g} Hz")
     state = port.equilibrium(OperatingPoint(scenario.active_power_w, None), _source(scenario))
+    _refuse_impossible(port, state, scenario, duration_s)
     memory = _memory_at_rest(port, state, scenario, settings)
     pieces: list[Trace] = []
     memories: list[DampingState] = []
@@ -360,6 +361,13 @@ def _stretches(scenario: Scenario, first: int, n_steps: int, dt_s: float) -> Ite
     borders = sorted({first, first + n_steps, *(step for step in changes if first < step < first + n_steps)})
     for start, end in pairwise(borders):
         yield conditions_at(scenario, (start + 0.5) * dt_s), end - start
+
+
+def _refuse_impossible(port: MeasuredPlant, state: Any, scenario: Scenario, duration_s: float) -> None:
+    """Ask for one step under all that is to come: what the device cannot do, it says at once."""
+    times_s = {event.time_s for event in scenario.events if event.time_s < duration_s}
+    for conditions in dict.fromkeys(conditions_at(scenario, time_s) for time_s in sorted(times_s)):
+        port.trace(state, conditions, 1)
 
 
 def _memory_at_rest(port: MeasuredPlant, state: Any, scenario: Scenario, settings: DampingSettings) -> DampingState:

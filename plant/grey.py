@@ -20,15 +20,27 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from .branched import Branched, BranchedState, Forwards, Listen, Run, is_whole
+from .branched import Branched, BranchedState, Calm, Forwards, Listen, Rest, Run, Settle, Watch, is_whole, watch
 from .branches import Replays, SnapshotBox, Snapshots
 from .damping import checked_compensation
 from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
-from .forked import Forks
+from .forked import BoxDied, Forks
 from .grey_core import SampledTurbine, warm_up
 from .periodic import Patience
-from .protocol import Injection, Job, OperatingPoint, Phasors, Record, Source, Tone, Window
-from .sealed import Offer
+from .protocol import (
+    Conditions,
+    Injection,
+    Job,
+    NotSettled,
+    OperatingPoint,
+    Phasors,
+    Record,
+    Source,
+    Tone,
+    Trace,
+    Window,
+)
+from .sealed import ControllerFault, Offer
 
 CIRCUIT = ("u_rated_v", "s_rated_va", "w1_rad_s", "l_c_h", "r_f_ohm", "c_f_f", "c_dc_f", "v_dc_ref_v")
 """Fields of `TurbineParameters` that belong to the circuit; ``v_dc_ref_v`` is where the DC link starts."""
@@ -134,7 +146,9 @@ class GreyTurbine:
         self.contents = {"controller": dict(offer.contents)}
         self._sure = snapshot != "auto" or not offer.states
         self._branched = self._branches(_kept(snapshot, offer, controller))
+        self.compensation = core.compensation
         self._settled: dict[tuple[OperatingPoint, Source], Any] = {}
+        self._at_rest: dict[tuple[OperatingPoint, Source], Any] = {}
 
     def settle(self, operating_point: OperatingPoint, source: Source) -> Any:
         """The periodic steady state, reached by running; certified by the change over its last periods.
@@ -148,13 +162,34 @@ class GreyTurbine:
         """
         key = operating_point, source
         if key not in self._settled:
-            self._settled[key] = self._found(operating_point, source)
+            self._settled[key] = self._found(Settle(operating_point, source))
         return self._settled[key]
+
+    def equilibrium(self, operating_point: OperatingPoint, source: Source) -> Any:
+        """The periodic state, stable or not; see `MeasuredPlant.equilibrium`, and `SampledTurbine.equilibrium` for how.
+
+        Raises
+        ------
+        ValueError
+            As `settle`.
+        NotSettled
+            If the controller comes to rest neither on an ideal source nor behind the grid.
+        """
+        key = operating_point, source
+        if key not in self._at_rest:
+            self._at_rest[key] = self._calmed(self._found(Rest(operating_point, source)))
+        return self._at_rest[key]
+
+    def trace(self, state: Any, conditions: Conditions, n_steps: int) -> tuple[Any, Trace]:
+        """Go on under ``conditions``; see `MeasuredPlant.trace`, and `SampledTurbine.trace` for what is shown."""
+        if isinstance(state, BranchedState):
+            return self._go_on(state, watch(conditions, n_steps))
+        return self._core.trace(state, conditions, n_steps)
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[Any, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
         return [
-            self._go_on(job, Run(job.injection, n_steps))
+            self._go_on(job.state, Run(job.injection, n_steps))
             if isinstance(job.state, BranchedState)
             else self._core.run([job], n_steps)[0]
             for job in jobs
@@ -165,27 +200,34 @@ class GreyTurbine:
     ) -> list[tuple[Any, Phasors]]:
         """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
         return [
-            self._go_on(job, Listen(job.injection, window, block_steps, n_blocks))
+            self._go_on(job.state, Listen(job.injection, window, block_steps, n_blocks))
             if isinstance(job.state, BranchedState)
             else self._core.run_phasors([job], [window], block_steps, n_blocks)[0]
             for job, window in zip(jobs, windows, strict=True)
         ]
 
-    def _go_on(self, job: Job, action: Run | Listen) -> tuple[BranchedState, Any]:
+    def _go_on(self, state: BranchedState, action: Run | Listen | Watch | Calm) -> tuple[BranchedState, Any]:
         if not self._sure or self._branched is None:  # a state from another process, which knew more
             self._branched, self._sure = self._by_processes(), True
-        return self._branched.go_on(job.state, action)
+        return self._branched.go_on(state, action)
 
-    def _found(self, operating_point: OperatingPoint, source: Source) -> Any:
+    def _calmed(self, state: Any) -> Any:
+        """What ``state`` comes to by waiting; where the closed loop is unstable, ``state``."""
+        try:
+            return self._go_on(state, Calm())[0] if isinstance(state, BranchedState) else self._core.calmed(state)
+        except (NotSettled, ControllerFault, RuntimeError, BoxDied):  # it may well give up where it swings up
+            return state
+
+    def _found(self, action: Settle | Rest) -> Any:
         """A steady state, once it is known whether the controller's own means keep all of it."""
-        state = (self._branched or self._core).settle(operating_point, source)
+        state = self._branched.begin(action) if self._branched else action.of(self._core)
         if self._sure:
             return state
         self._sure = True  # so that the question below is answered from the states in question
         if is_whole(self, state, self._probe):
             return state
         self._branched = self._by_processes()
-        return self._branched.settle(operating_point, source)
+        return self._branched.begin(action)
 
     def _probe(self, sign: float) -> Injection:
         return Injection("series_voltage", (Tone(1.7 * self.f1_hz, sign * PROBE_PU * self.rating.peak_voltage_v),))

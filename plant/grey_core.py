@@ -12,8 +12,8 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import isfinite, pi, sqrt, tan
-from typing import Any
+from math import exp, isfinite, pi, sqrt, tan
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from .dpmsg_parameters import TurbineParameters
 from .periodic import Clock, Patience, until_periodic, voltage_asked
 from .protocol import (
     Compensation,
+    Conditions,
     Job,
     NotSettled,
     OperatingPoint,
@@ -32,6 +33,7 @@ from .protocol import (
     Rating,
     Record,
     Source,
+    Trace,
     Window,
 )
 from .sealed import ControllerFault, Sealed
@@ -50,6 +52,19 @@ HELD = 1e-9
 """Mismatch of |v_pcc| behind a grid that is accepted, relative."""
 
 HELD_TRIALS = 20
+
+CALM_S = 0.5
+"""After this time a loop that swings up shows it."""
+
+SIGHT_S = 2e-3
+"""Time constant with which v_pcc is seen from the source: negative sequence is no slip, half a turn is not missed."""
+
+
+class Sight(NamedTuple):
+    """v_pcc over the source voltage, smoothed by `SIGHT_S`, and its angle (rad), not wrapped."""
+
+    ratio: complex
+    angle_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +89,8 @@ class GreyState:
         What feeds the PCC.
     power_w, voltage_v : float
         References of the operating point: P_machine (W) and |v_pcc| (V, line-to-line RMS).
+    sight : Sight or None
+        How v_pcc was last seen from the source; None where nobody has been watching.
     """
 
     step: int
@@ -85,6 +102,7 @@ class GreyState:
     source: Source
     power_w: float
     voltage_v: float
+    sight: Sight | None = None
 
 
 class SampledTurbine:
@@ -131,6 +149,7 @@ class SampledTurbine:
         low, high = VOLTAGE_PU
         self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
         self._delay, self._patience = delay, patience
+        self.compensation = block
         self._port = _port(block, parameters.w1_rad_s, dt_s)
         self.controller = open_controller()
         self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
@@ -147,32 +166,128 @@ class SampledTurbine:
         if source.kind == "ideal":
             return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
         if source.voltage_v is None:
-            return self._held(self._periodic(self._start(operating_point.active_power_w, voltage_v, source)))
+            state = self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
+            return self._held(state, self._at_pcc)
+        voltage_v = self._terminal_voltage(operating_point.active_power_w, source)
+        return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
+
+    def equilibrium(self, operating_point: OperatingPoint, source: Source) -> GreyState:
+        """The periodic state, stable or not, but for what the hold between samples moves; see `calmed`.
+
+        What a device does depends on the voltage at its PCC alone. So it is settled on an ideal source there, and
+        then put behind the grid and the source that would give the same voltage. A controller that holds the voltage
+        itself finds no rest on an ideal source; it is settled behind the grid.
+
+        Raises
+        ------
+        ValueError
+            As `settle`.
+        NotSettled
+            If it comes to rest neither way.
+        """
+        if source.kind == "ideal":
+            return self.settle(operating_point, source)
         try:
-            voltage_v = stationary.terminal_voltage_for_source(
-                self.parameters, operating_point.active_power_w, voltage_v, source.r_ohm, source.l_h
+            return self._put_behind(operating_point, source)
+        except NotSettled as first:
+            try:
+                return self.settle(operating_point, source)
+            except NotSettled as second:
+                words = str(second) if str(second) == str(first) else f"{second}; on an ideal source: {first}"
+                raise NotSettled(
+                    f"{words}; begin on a stiffer grid (scale), or with less power (active_power_mw)", second.status
+                ) from None
+
+    def calmed(self, state: GreyState) -> GreyState:
+        """Onwards until the waveforms repeat, as after `settle`.
+
+        Between samples a voltage behind a grid moves as it does not on an ideal source: by parts in 1e5 at 20 us.
+
+        Raises
+        ------
+        NotSettled
+            If they do not: the closed loop is unstable.
+        """
+        state, before = self._changing(state)
+        ((state, _),) = self.run([Job(state, None)], round(CALM_S / self.dt_s))
+        state, after = self._changing(state)
+        if not after <= max(before, self._patience.tolerance):
+            raise NotSettled("the closed loop swings up")
+        return self._periodic(state)
+
+    def _changing(self, state: GreyState) -> tuple[GreyState, float]:
+        """Two periods on, and how much the current changed from one to the other, over its peak."""
+        n = Clock(self.f1_hz, self.dt_s).period_steps
+        ((state, record),) = self.run([Job(state, None)], 2 * n)
+        turn = turns(self.f1_hz * n * self.dt_s)
+        return state, float(np.max(np.abs(record.i[n:] - turn * record.i[:n])) / np.max(np.abs(record.i)))
+
+    def _put_behind(self, operating_point: OperatingPoint, source: Source) -> GreyState:
+        """Settled on an ideal source, and put behind the grid."""
+        power_w = operating_point.active_power_w
+        voltage_v = voltage_asked(operating_point, source, self.operating_range, self.rating, self.id)
+        wanted = cmath.exp(1j * source.angle_rad)
+        if source.voltage_v is not None:
+            wanted *= _PHASE_PEAK * source.voltage_v
+            voltage_v = self._terminal_voltage(power_w, source)
+        ahead = stationary.thevenin_voltage(self.parameters, power_w, voltage_v, source.r_ohm, source.l_h)
+        at_pcc = Source("ideal", angle_rad=source.angle_rad - cmath.phase(ahead))
+
+        def ratio(state: GreyState) -> tuple[GreyState, complex]:
+            found = self._source_behind(state, source) / wanted
+            return state, found if source.voltage_v is not None else found / abs(found)
+
+        state = self._held(self._periodic(self._start(power_w, voltage_v, at_pcc)), ratio)
+        x = state.x.copy()
+        _, x[2] = self._terminals(state)
+        return replace(state, x=x, source=source, v_source=self._source_behind(state, source))
+
+    def _source_behind(self, state: GreyState, source: Source) -> complex:
+        """Voltage (V, phase peak) at time zero of the source that gives v_pcc as it is, behind its impedance."""
+        v, i_g = self._terminals(state)
+        return (v - circuit.impedance(source, self.f1_hz) * i_g) * turns(-self.f1_hz * state.step * self.dt_s)
+
+    def _terminals(self, state: GreyState) -> tuple[complex, complex]:
+        """v_pcc and i_g."""
+        network = _network(self.parameters, state.source, self.dt_s)
+        e = state.v_source * turns(self.f1_hz * state.step * self.dt_s)
+        v, i_g = network.v_states @ state.x[:3], network.i_states @ state.x[:3]
+        return complex(v + network.v_source * e), complex(i_g + network.i_source * e)
+
+    def _terminal_voltage(self, power_w: float, source: Source) -> float:
+        """|v_pcc| (V, line-to-line RMS) behind a source of fixed voltage, as the reference turbine would have it."""
+        assert source.voltage_v is not None
+        try:
+            return stationary.terminal_voltage_for_source(
+                self.parameters, power_w, source.voltage_v, source.r_ohm, source.l_h
             )
         except ValueError as error:
             raise NotSettled(str(error)) from None
-        return self._periodic(self._start(operating_point.active_power_w, voltage_v, source))
 
-    def _held(self, state: GreyState) -> GreyState:
-        """Onwards to the source voltage at which |v_pcc| is what is asked, by secant steps on its size."""
-        factor, before = 1.0, None
+    def _at_pcc(self, state: GreyState) -> tuple[GreyState, complex]:
+        """A period on, and |v_pcc| over what was asked."""
+        ((state, record),) = self.run([Job(state, None)], Clock(self.f1_hz, self.dt_s).period_steps)
+        found = abs(np.mean(record.v * np.exp(-2j * pi * self.f1_hz * record.time_s)))
+        return state, complex(found / (_PHASE_PEAK * state.voltage_v))
+
+    def _held(self, state: GreyState, ratio_of: Callable[[GreyState], tuple[GreyState, complex]]) -> GreyState:
+        """Onwards to the source voltage at which a ratio is one: its size by secant steps, its angle by turning."""
+        factor, before, held = 1.0, None, max(HELD, self._patience.tolerance)
         for _ in range(HELD_TRIALS):
-            ((state, record),) = self.run([Job(state, None)], Clock(self.f1_hz, self.dt_s).period_steps)
-            found = abs(np.mean(record.v * np.exp(-2j * pi * self.f1_hz * record.time_s)))
-            excess = float(found / (_PHASE_PEAK * state.voltage_v)) - 1.0
-            if abs(excess) <= HELD:
+            state, ratio = ratio_of(state)
+            excess, step = abs(ratio) - 1.0, 0.0
+            if abs(ratio - 1.0) <= held:
                 return state
-            slope = 1.0 if before is None else (excess - before[1]) / (factor - before[0])
-            if not slope > 0.0:
-                break
-            before, step = (factor, excess), max(-0.05, min(0.05, -excess / slope))
-            state = self._periodic(replace(state, v_source=state.v_source * (factor + step) / factor))
+            if abs(excess) > held:
+                slope = 1.0 if before is None else (excess - before[1]) / (factor - before[0])
+                if not slope > 0.0:
+                    break
+                before, step = (factor, excess), max(-0.05, min(0.05, -excess / slope))
+            turn = cmath.exp(-1j * cmath.phase(ratio))
+            state = self._periodic(replace(state, v_source=state.v_source * turn * (factor + step) / factor))
             factor += step
         raise NotSettled(
-            f"|v_pcc| stays {excess:+.2g} away from the {state.voltage_v:g} V asked, whatever the source voltage: the "
+            f"|v_pcc| or the source voltage stays {excess:+.2g} away from what is asked, whatever the other: the "
             "grid cannot carry the power, or the controller holds the voltage itself"
         )
 
@@ -238,6 +353,70 @@ class SampledTurbine:
         """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
         return [self._listen_one(job, window, block_steps, n_blocks) for job, window in zip(jobs, windows, strict=True)]
 
+    def trace(self, state: GreyState, conditions: Conditions, n_steps: int) -> tuple[GreyState, Trace]:
+        """Go on under ``conditions``; see `MeasuredPlant.trace`.
+
+        Raises
+        ------
+        ValueError
+            If the state's source is ideal, or the conditions ask for wind or for a power out of range.
+
+        Notes
+        -----
+        ``power_scale`` multiplies the power into the DC link, and the reference that the controller may be told.
+        ``rotor_rad_s`` is NaN: no rotor moves here. What a controller synchronises by is its own secret, so
+        ``sync_rad`` is the angle of v_pcc, smoothed by `SIGHT_S`, counted for as long as one trace follows another.
+        """
+        from .kernels import grey as kernel
+
+        start = self._surrounded(state, conditions)
+        block = self.compensation if conditions.compensation is None else conditions.compensation
+        port = self._port._replace(r_ohm=block.r_ohm, x_ohm=block.x_ohm)
+        v, i, v_dc = np.full(n_steps, np.nan, complex), np.full(n_steps, np.nan, complex), np.full(n_steps, np.nan)
+        seen, share = np.full(n_steps + 1, np.nan, complex), 1.0 - exp(-self.dt_s / SIGHT_S)
+        seen[0], angle_rad = state.sight or self._sight(state)
+
+        def go_on(box: Any, source: Any, network: Any, *others: Any) -> Any:
+            skew = None
+            if any(conditions.fault_s):
+                fault = self.parameters, start.source, self.f1_hz, self.dt_s, conditions.fault_s
+                network, forcing, skew = _faulted(*fault)
+                source = source._replace(forcing=forcing)
+            return kernel.advance_tracing(box._replace(port=port), source, network, skew, *others)
+
+        end = self._advance(Job(start, None), n_steps, go_on, v, i, v_dc, seen, share)
+        sync = np.unwrap(np.append(angle_rad, np.angle(seen[1:])))[1:]
+        end = replace(end, power_w=state.power_w, sight=Sight(seen[-1], angle_rad if n_steps == 0 else sync[-1]))
+        record = Record(state.time_s, self.dt_s, v, -i, self.f1_hz, "load", self.id)
+        return end, Trace(record, v_dc, np.full(n_steps, np.nan), sync)
+
+    def _surrounded(self, state: GreyState, conditions: Conditions) -> GreyState:
+        """The state with the conditions' grid and power."""
+        if state.source.kind != "thevenin":
+            raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
+        if conditions.wind_m_s is not None:
+            raise ValueError(
+                f"{self.id} has no wind: the power into its DC link is what is asked; give a power step "
+                "(power_step, active_power_mw) in place of the wind step"
+            )
+        if not (conditions.r_ohm >= 0.0 and conditions.l_h > 0.0):
+            raise ValueError(f"a grid needs r_ohm >= 0 and l_h > 0; got {conditions.r_ohm:g} ohm, {conditions.l_h:g} H")
+        power_w = state.power_w * conditions.power_scale
+        low, high = self.operating_range.active_power_w
+        if not low * (1.0 - 1e-9) <= power_w <= high * (1.0 + 1e-9):
+            raise ValueError(
+                f"active power of {power_w / 1e6:g} MW is outside the range of {self.id}: "
+                f"{low / 1e6:g} to {high / 1e6:g} MW"
+            )
+        source = replace(state.source, r_ohm=conditions.r_ohm, l_h=conditions.l_h)
+        return replace(state, source=source, power_w=power_w)
+
+    def _sight(self, state: GreyState) -> Sight:
+        """How v_pcc is seen at first: as it is."""
+        v, _ = self._terminals(state)
+        ratio = v / (state.v_source * turns(self.f1_hz * state.step * self.dt_s))
+        return Sight(ratio, cmath.phase(ratio))
+
     def _run_one(self, job: Job, n_steps: int) -> tuple[GreyState, Record]:
         from .kernels import grey as kernel
 
@@ -286,7 +465,8 @@ class SampledTurbine:
         if how == kernel.EMPTY:
             energy = np.nan  # the DC link is empty: nothing is left to go on from
         step = state.step + n_steps
-        return replace(state, step=step, time_s=step * self.dt_s, x=x, energy=energy, memory=controller.memory())
+        time_s, memory = step * self.dt_s, controller.memory()
+        return replace(state, step=step, time_s=time_s, x=x, energy=energy, memory=memory, sight=None)
 
     def _box(self) -> Any:
         """The controller as the kernel takes it."""
@@ -348,6 +528,13 @@ def _forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> 
     return circuit.forcing(p, source, f_hz, dt_s)
 
 
+@lru_cache(maxsize=64)
+def _faulted(
+    p: TurbineParameters, source: Source, f_hz: float, dt_s: float, fault_s: tuple[float, float, float]
+) -> tuple[Any, np.ndarray, Any]:
+    return circuit.faulted(p, source, f_hz, dt_s, fault_s)
+
+
 def _port(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
     """The compensation as the kernel takes it: the notch by the bilinear rule, exact at its centre."""
     from .kernels.grey import Port
@@ -399,6 +586,9 @@ def warm_up() -> None:
     quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
     kernel.inform(box, network, store, quantities, x, 0j, 1.0)
     common = (box, source, network, store, 0, quantities, x, 1.0)
-    kernel.advance_recording(*common, np.zeros(1, complex), np.zeros(1, complex))
+    v, i, seen = np.zeros(1, complex), np.zeros(1, complex), np.zeros(2, complex)
+    kernel.advance_recording(*common, v, i)
+    for skew in (None, kernel.Skew(network, source.forcing, 1j)):
+        kernel.advance_tracing(box, source, network, skew, *common[3:], v, i, np.zeros(1), seen, 1.0)
     lines = np.ones(2, complex)
     kernel.advance_blocks(*common, lines, lines, 1j, 1j, 1, np.zeros((1, 4), complex))

@@ -234,7 +234,7 @@ class Compensation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What surrounds a device for a while, in `MeasuredPlant.trace`.
+    """What surrounds a device for a while, in `MeasuredPlant.trace`; what a device cannot do, it refuses by name.
 
     Attributes
     ----------
@@ -269,9 +269,10 @@ class Trace:
     v_dc_v : (n,) float
         Voltage of the DC link (V).
     rotor_rad_s : (n,) float
-        Rotor speed (rad/s).
+        Rotor speed (rad/s); NaN where there is no rotor.
     sync_rad : (n,) float
-        Angle of the device's synchronisation ahead of the source voltage (rad), not wrapped.
+        Angle of the device's synchronisation ahead of the source voltage (rad), not wrapped; where nobody can see what
+        the device synchronises by, that of v_pcc, smoothed.
     """
 
     record: Record
@@ -291,7 +292,7 @@ class MeasuredPlant(Plant, Protocol):
     compensation: Compensation
 
     def equilibrium(self, operating_point: OperatingPoint, source: Source) -> Any:
-        """The periodic state, stable or not; `NotSettled` where there is none."""
+        """The periodic state, stable or not; `NotSettled` where there is none, or none can be reached."""
         ...
 
     def trace(self, state: Any, conditions: Conditions, n_steps: int) -> tuple[Any, Trace]:

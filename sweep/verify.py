@@ -20,7 +20,7 @@ from ..plant.damping import DampingSettings
 from ..plant.estimator import SAMPLE_S, WINDOW_S
 from ..plant.events import Event, Fault, Scenario, Trajectory, conditions_at, simulate
 from ..plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
-from ..plant.registry import make_plant
+from ..plant.registry import in_words, make_plant
 from ..tuning.siso import Grid
 from .scenario import Story
 
@@ -262,7 +262,7 @@ def verify(tuned: Tuned, story: Story | None = None, cause_gone: CauseGone | Non
     Raises
     ------
     VerifyError
-        If there is no state to begin from.
+        If there is no state to begin from, or the device gives up on the way.
     """
     story = story or Story()
     return compare(tuned, scenario_of(tuned, story), settings_of(tuned), story.duration_s, cause_gone)
@@ -276,14 +276,33 @@ def compare(
     cause_gone: CauseGone | None = None,
 ) -> Verification:
     """Both runs of a scenario, reported."""
-    try:
-        without = simulate(tuned.plant, scenario, None, duration_s)
-        damped = simulate(tuned.plant, scenario, settings, duration_s, cause_gone=cause_gone)
-    except NotSettled as refusal:
-        raise VerifyError(f"the scenario has no state to begin from: {refusal}") from None
+    without = _driven("without", tuned.plant, scenario, None, duration_s)
+    damped = _driven("with", tuned.plant, scenario, settings, duration_s, cause_gone)
     reports = tuple(report(trajectory, scenario.events, settings.threshold) for trajectory in (without, damped))
     remarks = tuple(_remarks(tuned, scenario, duration_s, without))
     return Verification(tuned, scenario, settings, duration_s, without, damped, reports, remarks)  # type: ignore[arg-type]
+
+
+def _driven(
+    how: str,
+    plant: Plant,
+    scenario: Scenario,
+    settings: DampingSettings | None,
+    duration_s: float,
+    cause_gone: CauseGone | None = None,
+) -> Trajectory:
+    """One run; a device that gives up on the way is told in its own words."""
+    try:
+        return simulate(plant, scenario, settings, duration_s, cause_gone=cause_gone)
+    except NotSettled as refusal:
+        raise VerifyError(f"the scenario has no state to begin from: {refusal}") from None
+    except ValueError:
+        raise
+    except Exception as error:
+        raise VerifyError(
+            f"the run {how} damping control does not come to its end: {in_words(error)}; a shorter duration_s in a "
+            "scenario file shows what goes before"
+        ) from None
 
 
 def has_equilibrium(plant: Plant, scenario: Scenario, time_s: float) -> bool:
@@ -300,7 +319,10 @@ def has_equilibrium(plant: Plant, scenario: Scenario, time_s: float) -> bool:
 
 def _remarks(tuned: Tuned, scenario: Scenario, duration_s: float, without: Trajectory) -> Iterable[str]:
     if not has_equilibrium(tuned.plant, scenario, duration_s):
-        yield "after the events the grid has no operating point that carries this power: no control can find one"
+        yield (
+            "no operating point that carries this power was found on the grid after the events: where there is none, "
+            "no control can find one"
+        )
     if tuned.k == 0.0:
         yield "k is 0: the tuning asks for no damping, both runs are the same"
     first = min((event.time_s for event in scenario.events), default=duration_s)

@@ -102,6 +102,24 @@ class Network(NamedTuple):
     i_source: float
 
 
+class Skew(NamedTuple):
+    """What an unbalanced fault adds to a step: ``turn`` times the conjugate of what ``network`` and ``forcing`` give.
+
+    Attributes
+    ----------
+    network : Network
+        Half of what the network along the fault's axis differs from that across it.
+    forcing : (n, 4) complex
+        The same of a source's forcing; see `Tones`.
+    turn : complex
+        exp(2j angle of the axis).
+    """
+
+    network: Network
+    forcing: np.ndarray
+    turn: complex
+
+
 class Store(NamedTuple):
     """The DC link and the rhythm: capacitance (F), power into it (W), step (s), samples of delay (0 or 1)."""
 
@@ -237,12 +255,23 @@ def _command(box):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _observe(x, e, energy, network, store, quantities):
-    """What is measured with the states ``x`` under the source voltage ``e``, into ``quantities``; v_pcc and i_g."""
+def _terminals(x, e, network):
+    """v_pcc and i_g with the states ``x`` under the source voltage ``e``."""
     v, i = network.v_source * e, network.i_source * e
     for k in range(3):
         v += network.v_states[k] * x[k]
         i += network.i_states[k] * x[k]
+    return v, i
+
+
+@njit(forceinline=True, error_model="numpy")
+def _observe(x, e, energy, network, skew, store, quantities):
+    """What is measured with the states ``x`` under the source voltage ``e``, into ``quantities``; v_pcc and i_g."""
+    v, i = _terminals(x, e, network)
+    if skew is not None:
+        v_more, i_more = _terminals(x, e, skew.network)
+        v += skew.turn * v_more.conjugate()
+        i += skew.turn * i_more.conjugate()
     power = 1.5 * v * i.conjugate()
     quantities[V_RE], quantities[V_IM] = v.real, v.imag
     quantities[I_L_RE], quantities[I_L_IM] = x[I_L].real, x[I_L].imag
@@ -273,29 +302,49 @@ def _voltage(command, x, v_dc, modulated, store):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _move(x, energy, u, source, network, store):
+def _later(row, x, u, phasors, network, forcing):
+    """State ``row`` one step later, the integral of i_L being the fourth."""
+    phi = network.phi
+    y = phi[row, 0] * x[0] + phi[row, 1] * x[1] + phi[row, 2] * x[2] + network.beta[row] * u
+    for tone in range(len(phasors)):
+        y += forcing[tone, row] * phasors[tone]
+    return y
+
+
+@njit(forceinline=True, error_model="numpy")
+def _all_later(x, u, phasors, network, forcing):
+    return (
+        _later(0, x, u, phasors, network, forcing),
+        _later(1, x, u, phasors, network, forcing),
+        _later(2, x, u, phasors, network, forcing),
+        _later(3, x, u, phasors, network, forcing),
+    )
+
+
+@njit(forceinline=True, error_model="numpy")
+def _move(x, energy, u, source, network, skew, store):
     """States (in place) and energy one step later under the converter voltage ``u``."""
-    x_0, x_1, x_2 = x[0], x[1], x[2]
-    phi, beta = network.phi, network.beta
-    charge = phi[3, 0] * x_0 + phi[3, 1] * x_1 + phi[3, 2] * x_2 + beta[3] * u
-    for row in range(3):
-        x[row] = phi[row, 0] * x_0 + phi[row, 1] * x_1 + phi[row, 2] * x_2 + beta[row] * u
-    for tone in range(len(source.phasors)):
-        phasor = source.phasors[tone]
-        for row in range(3):
-            x[row] += source.forcing[tone, row] * phasor
-        charge += source.forcing[tone, 3] * phasor
-        source.phasors[tone] = phasor * source.rotations[tone]
+    phasors = source.phasors
+    x_0, x_1, x_2, charge = _all_later(x, u, phasors, network, source.forcing)
+    if skew is not None:
+        more_0, more_1, more_2, more_charge = _all_later(x, u, phasors, skew.network, skew.forcing)
+        x_0 += skew.turn * more_0.conjugate()
+        x_1 += skew.turn * more_1.conjugate()
+        x_2 += skew.turn * more_2.conjugate()
+        charge += skew.turn * more_charge.conjugate()
+    x[0], x[1], x[2] = x_0, x_1, x_2
+    for tone in range(len(phasors)):
+        phasors[tone] *= source.rotations[tone]
     return energy + store.dt_s * store.power_w - 1.5 * (u * charge.conjugate()).real
 
 
 @njit(forceinline=True, error_model="numpy")
-def _step(box, source, network, store, step, quantities, x, energy):
+def _step(box, source, network, skew, store, step, quantities, x, energy):
     """One sample: measure, call, hold. Returns v_pcc, i_g, the energy after it and how it ended."""
     e = 0.0j
     for tone in range(len(source.phasors)):
         e += source.phasors[tone]
-    v, i = _observe(x, e, energy, network, store, quantities)
+    v, i = _observe(x, e, energy, network, skew, store, quantities)
     told = _at_port(box.port, x, v, i)
     quantities[V_RE], quantities[V_IM] = told.real, told.imag
     box.time[0] = step * store.dt_s
@@ -309,14 +358,14 @@ def _step(box, source, network, store, step, quantities, x, energy):
     if store.delay:
         command, x[3] = x[3], command
     u = _voltage(command, x, quantities[V_DC], box.wiring.modulated, store)
-    energy = _move(x, energy, u, source, network, store)
+    energy = _move(x, energy, u, source, network, skew, store)
     return v, i, energy, DONE if energy > 0.0 else EMPTY
 
 
 @njit(cache=True)
 def inform(box, network, store, quantities, x, e, energy):
     """Tell the controller what is measured with the states ``x`` under the source voltage ``e``; v_dc (V)."""
-    _observe(x, e, energy, network, store, quantities)
+    _observe(x, e, energy, network, None, store, quantities)
     _inform(box, quantities)
     return quantities[V_DC]
 
@@ -344,7 +393,30 @@ def advance_recording(box, source, network, store, step, quantities, x, energy, 
         Energy after the last step, and how it ended; what was not reached is left as it was.
     """
     for k in range(len(v_out)):
-        v_out[k], i_out[k], energy, end = _step(box, source, network, store, step + k, quantities, x, energy)
+        v_out[k], i_out[k], energy, end = _step(box, source, network, None, store, step + k, quantities, x, energy)
+        if end != DONE:
+            return energy, end
+    return energy, DONE
+
+
+@njit(nogil=True, error_model="numpy", cache=True)
+def advance_tracing(
+    box, source, network, skew, store, step, quantities, x, energy, v_out, i_out, v_dc_out, seen, seen_share
+):
+    """`advance_recording` with v_dc and, seen from the source, a slow view of v_pcc besides.
+
+    ``skew`` is None but for an unbalanced fault. ``seen`` (n + 1,) follows v_pcc over the source's first tone by
+    ``seen_share`` of the way in a step; its first value is given, the others are those behind each step.
+    """
+    if not energy > 0.0:  # the step before this stretch was the last one
+        return energy, EMPTY
+    e = source.phasors[0]
+    per_square = 1.0 / (e.real**2 + e.imag**2)
+    for k in range(len(v_out)):
+        e = source.phasors[0].conjugate()
+        v_out[k], i_out[k], energy, end = _step(box, source, network, skew, store, step + k, quantities, x, energy)
+        v_dc_out[k] = quantities[V_DC]
+        seen[k + 1] = seen[k] + seen_share * (v_out[k] * e * per_square - seen[k])
         if end != DONE:
             return energy, end
     return energy, DONE
@@ -363,7 +435,7 @@ def advance_blocks(
     for block in range(len(sums)):
         for k in range(block_steps):
             now = step + block * block_steps + k
-            v, i, energy, end = _step(box, source, network, store, now, quantities, x, energy)
+            v, i, energy, end = _step(box, source, network, None, store, now, quantities, x, energy)
             if end != DONE:
                 return energy, end
             weight = TAPER_0 + taper.real * (TAPER_1 + taper.real * TAPER_2)
