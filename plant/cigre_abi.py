@@ -233,6 +233,8 @@ def _loaded(path: Path) -> c.CDLL:
         raise CigreError(
             f"{path} is a library for Windows, which this machine cannot load; ask for one built for Linux"
         )
+    if magic[:2] == b"PK":
+        raise CigreError(f'{path} is an archive: if it is an FMU, give controller = "fmu:{path}"')
     try:
         return c.CDLL(str(path.resolve()))
     except OSError as error:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from .forked import Action, Way
-from .periodic import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
+from .periodic import HOLDS, Clock, Patience, once, phase_peak, until_periodic, voltage_asked
 from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from .sources import series_tones
 
@@ -58,6 +58,7 @@ class Settle:
     clock: Clock
     patience: Patience
     peak_a: float
+    hold: str
 
     def __call__(self, box: Box) -> Settled:
         box.start(self.operating_point)
@@ -65,7 +66,8 @@ class Settle:
 
         def run(first_step: int, n_steps: int) -> np.ndarray:
             nonlocal i_end
-            i = box.advance(self.clock.voltage(((self.clock.f1_hz, self.v_source),), first_step, n_steps))
+            v = self.clock.held(self.hold, ((self.clock.f1_hz, self.v_source),), first_step, n_steps)
+            i = box.advance(v)
             i_end = complex(i[-1])
             return i[None, :] / self.peak_a
 
@@ -81,13 +83,14 @@ class Drive:
     clock: Clock
     first_step: int
     n_steps: int
+    hold: str
 
     def voltage(self) -> np.ndarray:
         """The terminal voltage (n_steps,)."""
         return self.clock.voltage(self.tones, self.first_step, self.n_steps)
 
     def __call__(self, box: Box) -> np.ndarray:
-        return box.advance(self.voltage())
+        return box.advance(self.clock.held(self.hold, self.tones, self.first_step, self.n_steps))
 
 
 class Identity(NamedTuple):
@@ -124,13 +127,28 @@ class DrivenPlant:
         When it counts as settled.
     contents : mapping, optional
         What the table should remember beside its parameters, such as the hash of a file.
+    hold : "start" or "mean"
+        What the box is told of the source's voltage in a step; see `HOLDS`.
+
+    Raises
+    ------
+    ValueError
+        If ``hold`` is neither.
     """
 
     def __init__(
-        self, identity: Identity, branches: Branches, patience: Patience, contents: Mapping[str, Any] | None = None
+        self,
+        identity: Identity,
+        branches: Branches,
+        patience: Patience,
+        contents: Mapping[str, Any] | None = None,
+        hold: str = "start",
     ):
+        if hold not in HOLDS:
+            raise ValueError(f"hold is {hold!r}; needed: {', '.join(HOLDS)}")
+        self._hold = hold
         self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
-        self.contents = dict(contents or {})
+        self.contents = {**(contents or {}), "held_late_s": 0.5 * self.dt_s if hold == "start" else 0.0}
         self._clock, self._branches, self._patience = identity.clock, branches, patience
         self._settled: dict[Settle, Settled | NotSettled] = {}
 
@@ -151,7 +169,7 @@ class DrivenPlant:
                 'give [source] kind = "ideal"'
             )
         v_source = phase_peak(voltage_v, source.angle_rad)
-        action = Settle(operating_point, v_source, self._clock, self._patience, self.rating.peak_current_a)
+        action = Settle(operating_point, v_source, self._clock, self._patience, self.rating.peak_current_a, self._hold)
         steps, i, _ = once(self._settled, action, lambda: self._branches.act((), action))
         return DrivenState(steps, steps * self.dt_s, i, (action,), v_source)
 
@@ -162,7 +180,7 @@ class DrivenPlant:
     def _run_one(self, job: Job, n_steps: int) -> tuple[DrivenState, Record]:
         state: DrivenState = job.state
         tones = series_tones(job.injection, Source(), lambda f_hz: 0j)
-        drive = Drive(((self.f1_hz, state.v_source), *tones), self._clock, state.step, n_steps)
+        drive = Drive(((self.f1_hz, state.v_source), *tones), self._clock, state.step, n_steps, self._hold)
         i_end = self._branches.act(state.way, drive)
         i = np.concatenate([[state.i], i_end[:-1]])
         step = state.step + n_steps

@@ -138,10 +138,11 @@ def fmu_plant(
     start: Mapping[str, Any] | None = None,
     active_power_w: Sequence[float] = (-inf, inf),
     terminal_voltage_pu: Sequence[float] = (0.5, 1.5),
-    power_meaning: str = "as the FMU takes it",
+    power_meaning: str | None = None,
     snapshot: Literal["auto", "state", "fork", "cold"] = "auto",
     settle_tolerance: float = 1e-8,
     patience_s: float = 30.0,
+    hold: str = "start",
     validate: bool = True,
 ) -> DrivenPlant:
     """The device in an FMU.
@@ -166,12 +167,14 @@ def fmu_plant(
         Values of other variables, set before the start.
     active_power_w, terminal_voltage_pu : (lowest, highest)
         Where it may be operated (W, pu).
-    power_meaning : str
+    power_meaning : str, optional
         One sentence for the table.
     snapshot : "auto", "state", "fork" or "cold"
         How its states are branched: by its own get and set, by a fork, by starting anew; "auto" takes the first it can.
     settle_tolerance, patience_s : float
         Change from one period to the next, over the peak, at which it counts as settled; simulated time (s) until then.
+    hold : "start" or "mean"
+        What is told of the voltage in a step; see `periodic.HOLDS`.
     validate : bool
         Whether a description that breaks the standard is refused.
 
@@ -181,9 +184,14 @@ def fmu_plant(
         If the file is no FMU that can be driven, or a variable is not what it should be; with its name.
     """
     contents = contents_of(Path(file), validate)
-    for name, value in {"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va}.items():
-        if not 0.0 < value < inf:
-            raise FmuError(f"{name} is {value:g}; needed: a finite number above 0")
+    sizes = {
+        **{"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va},
+        **{"voltage_unit_v": voltage_unit_v, "current_unit_a": current_unit_a},
+        "active_power_unit_w": active_power_unit_w,
+    }
+    for name, value in sizes.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < inf:
+            raise FmuError(f"{name} is {value!r}; needed: a finite number above 0")
     _one_of("current_direction", current_direction, ("load", "generator"))
     inputs, outputs = _few(contents, "voltage", voltage, "input"), _few(contents, "current", current, "output")
     before = [setting("start", find_settable(contents, "start", name), value) for name, value in (start or {}).items()]
@@ -206,7 +214,7 @@ def fmu_plant(
         Clock(float(f1_hz), float(dt_s)),
         Rating(float(voltage_v), float(power_va)),
         OperatingRange((float(lowest_w), float(highest_w)), (low * voltage_v, high * voltage_v)),
-        power_meaning,
+        power_meaning or ("as the FMU takes it" if power else "not told to the FMU: active_power names no variable"),
     )
     branches = _branches(partial(FmuBox, model, terminals), can_go_back, snapshot)
     plant = DrivenPlant(
@@ -214,6 +222,7 @@ def fmu_plant(
         branches,
         Patience(settle_tolerance, patience_s),
         {"file_sha256": sha256_of(contents.path), "model": contents.name},
+        hold,
     )
     weakref.finalize(plant, shutil.rmtree, model.folder, ignore_errors=True)
     return plant
@@ -244,6 +253,8 @@ def _few(contents: Contents, key: str, names: Sequence[str], causality: str) -> 
     """Variables that make a space vector."""
     if isinstance(names, list | tuple) and all(isinstance(name, str) for name in names):
         variables = [find(contents, key, name, causality) for name in names]
+        if len(set(names)) < len(names):
+            raise FmuError(f"{key} is {names!r}; needed: each variable once")
         if sum(map(width_of, variables)) in (2, 3):
             return variables
     raise FmuError(

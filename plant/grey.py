@@ -16,6 +16,7 @@ import sys
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from inspect import signature
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ from .protocol import (
     Window,
 )
 from .sealed import ControllerFault, Offer
+from .wiring import nearest
 
 CIRCUIT = ("u_rated_v", "s_rated_va", "w1_rad_s", "l_c_h", "r_f_ohm", "c_f_f", "c_dc_f", "v_dc_ref_v")
 """Fields of `TurbineParameters` that belong to the circuit; ``v_dc_ref_v`` is where the DC link starts."""
@@ -336,7 +338,12 @@ def _kept(snapshot: str, offer: Offer, controller: str) -> str:
 def _circuit(parameters: Mapping[str, Any]) -> TurbineParameters:
     unknown = sorted(set(parameters) - set(CIRCUIT))
     if unknown:
-        raise ValueError(f"{GreyTurbine.id} has no parameter {unknown[0]!r}; its circuit has {', '.join(CIRCUIT)}")
+        known = [name for name, p in signature(GreyTurbine).parameters.items() if p.kind is not p.VAR_KEYWORD]
+        hint = nearest(unknown[0], [*known, *CIRCUIT])
+        raise ValueError(
+            f"{GreyTurbine.id} has no parameter {unknown[0]!r}{hint}; it has {', '.join(known)}, and for its circuit "
+            f"{', '.join(CIRCUIT)}"
+        )
     return TABLE_I._replace(**dict(zip(parameters, _positive(**parameters), strict=True)))
 
 

@@ -29,6 +29,10 @@ class Patience(NamedTuple):
     longest_s: float
 
 
+HOLDS = ("start", "mean")
+"""What a box is told of the source's voltage in a step: its value at the start, or its mean."""
+
+
 class Clock(NamedTuple):
     """Fundamental (Hz) and step (s) of a device."""
 
@@ -47,6 +51,17 @@ class Clock(NamedTuple):
         for f_hz, phasor in tones:
             v += phasor * np.exp(2j * np.pi * ((f_hz * self.dt_s * steps) % 1.0))
         return v
+
+    def mean_voltage(self, tones: tuple[tuple[float, complex], ...], first_step: int, n_steps: int) -> np.ndarray:
+        """The same, each the mean over the step that begins there."""
+        means = tuple(
+            (f_hz, phasor * np.sinc(f_hz * self.dt_s) * np.exp(1j * np.pi * f_hz * self.dt_s)) for f_hz, phasor in tones
+        )
+        return self.voltage(means, first_step, n_steps)
+
+    def held(self, hold: str, tones: tuple[tuple[float, complex], ...], first_step: int, n_steps: int) -> np.ndarray:
+        """What is held in each step: one of `HOLDS`."""
+        return (self.mean_voltage if hold == "mean" else self.voltage)(tones, first_step, n_steps)
 
 
 def until_periodic(run: Callable[[int, int], np.ndarray], clock: Clock, patience: Patience) -> tuple[int, float]:

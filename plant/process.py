@@ -21,6 +21,7 @@ def process_plant(
     answer_s: float = 30.0,
     settle_tolerance: float = 1e-8,
     patience_s: float = 30.0,
+    hold: str = "start",
     **parameters: Any,
 ) -> DrivenPlant:
     """The device that ``command`` is, or speaks for.
@@ -33,6 +34,8 @@ def process_plant(
         Wall time (s) that an answer may take.
     settle_tolerance, patience_s : float
         Change from one period to the next, over the peak, at which it counts as settled; simulated time (s) until then.
+    hold : "start" or "mean"
+        What is told of the voltage in a step; see `periodic.HOLDS`.
     **parameters
         Handed to the program as they are.
 
@@ -57,4 +60,4 @@ def process_plant(
         OperatingRange((float(power[0]), float(power[1])), (low, high)),
         card["power_meaning"],
     )
-    return DrivenPlant(identity, branches, Patience(settle_tolerance, patience_s), {"program": card["name"]})
+    return DrivenPlant(identity, branches, Patience(settle_tolerance, patience_s), {"program": card["name"]}, hold)

@@ -35,7 +35,7 @@ _KINDS = {
 }
 """Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""
 
-_SIGNAL_MAP = ("inputs", "outputs")
+_OF_A_CONTROLLER = ("controller", "inputs", "outputs", "settings", "sample_time_s", "delay_samples")
 """Parameters of a controller in a circuit, which no device has."""
 
 _BLACK_BOXES: set[str] = set()
@@ -317,9 +317,9 @@ def _refuse_unfit(plant_id: str, factory: Any, arguments: Mapping[str, Any]) -> 
 
 def _refuse_unknown(plant_id: str, known: Sequence[str], arguments: Iterable[str]) -> None:
     for name in arguments:
-        if name in _SIGNAL_MAP and plant_id.startswith("fmu:") and name not in known:
+        if name in _OF_A_CONTROLLER and plant_id.startswith("fmu:") and name not in known:
             raise PlantError(
-                f"{plant_id} is a whole device and has no parameter {name!r}; a controller with a signal map goes into "
+                f"{plant_id} is a whole device and has no parameter {name!r}; a controller goes into "
                 f'the turbine\'s circuit: id = "dpmsg-grey-v1", and controller = "{plant_id}" among its parameters'
             )
         if name not in known:

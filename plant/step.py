@@ -156,6 +156,7 @@ class StepPlant:
     def __init__(self, step: Callable[..., Any], initial_state: Any, identity: Identity, patience: Patience):
         self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
         self._step, self._initial_state = step, initial_state
+        self.contents = {"held_late_s": 0.5 * self.dt_s}
         self._clock, self._patience = identity.clock, patience
         self._settled: dict[tuple[OperatingPoint, Source], StepState | NotSettled] = {}
 

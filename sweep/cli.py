@@ -6,11 +6,13 @@ machine failed us. What a command needs is imported inside it: ``--help`` must n
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
@@ -29,6 +31,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 GO_ON = "run the same command again to go on"
 
@@ -84,6 +88,8 @@ def console() -> None:
 def _status() -> int:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # matrices are small here: more threads only get in each other's way
+    with suppress(ValueError):  # only the main thread can be told
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout`, Slurm, docker stop: as Ctrl-C
     try:
         result = app(standalone_mode=False)
     except _USAGE_ERROR as error:
@@ -98,7 +104,8 @@ def _status() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
-        typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if _resumes() else ''}", err=True)
+        kept = _resumes() and error.errno in _FULL
+        typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
         return MACHINE
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
         return _interrupted()

@@ -138,7 +138,7 @@ def _fmu(path: Path) -> Iterator[str]:
         yield f"  {complaint}"
     interface = content.coSimulation
     if interface is None:
-        yield "  no co-simulation: it cannot be driven here"
+        yield "  no co-simulation: it cannot be driven here; most tools export it for co-simulation on request"
         return
     how = "its own get and set" if interface.canGetAndSetFMUstate else "a fork of its process"
     yield f"  co-simulation; its states are branched by {how}"
@@ -147,8 +147,16 @@ def _fmu(path: Path) -> Iterator[str]:
     for causality in ("input", "output", "parameter"):
         named = [v for v in content.modelVariables if v.causality == causality]
         yield from _listed(f"{causality}s", [_variable(v) for v in named])
-    libraries = [m.name for m in members if m.name.startswith("binaries/") and "/" in m.name[9:]]
-    yield from _listed("would be loaded and executed, in a child process, of", libraries or ["no binary: it has none"])
+    from fmpy import platform as ours
+    from fmpy import platform_tuple
+
+    binaries = [m.name for m in members if m.name.startswith("binaries/") and "/" in m.name[9:]]
+    libraries = [name for name in binaries if name.split("/")[1] in (ours, platform_tuple)]
+    if not libraries:
+        yield from _listed("binaries", binaries or ["none"])
+        yield f"  none is for this machine ({ours}): export it for this one, or drive it elsewhere by process:COMMAND"
+        return
+    yield from _listed("would be loaded and executed, in a child process, of", libraries)
     yield f'  to drive it: a campaign with [plant] id = "fmu:{path}", or, if it is a controller for the turbine\'s'
     yield f'  circuit, id = "dpmsg-grey-v1", controller = "fmu:{path}", and [plant.parameters]; then'
     yield "  seqsweep check CAMPAIGN.toml"

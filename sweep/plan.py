@@ -48,6 +48,9 @@ TOGETHER = 4
 ROWS_PER_PROBE = 14
 """One row in so many is swept at half the amplitude as well, to see whether the device is linear."""
 
+LATE_DEGREES = 1.0
+"""Turn of the admittance at the highest frequency from which on a plan warns."""
+
 MIN_PROBES = 2
 
 SETTLE_S = 0.5
@@ -366,9 +369,22 @@ def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
         isolate=runs_isolated(spec.id, config.plant.isolate),
         timeout_s=config.plant.timeout_s,
         configuration=config.to_dict(),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *_lateness(card, points)),
         adaptive=_adaptive(config.sweep),
     )
+
+
+def _lateness(card: PlantCard, points: Sequence[Frequency]) -> Iterator[str]:
+    """A warning where what is held in a step comes so late that the admittance shows it."""
+    late_s = card.fingerprint.get("held_late_s", 0.0)
+    f_hz = max(abs(point.f_hz) for point in points)
+    degrees = 360.0 * f_hz * late_s
+    if degrees > LATE_DEGREES:
+        yield (
+            f"the voltage of a step of {card.dt_s:g} s is held from its start: half a step of delay, which turns Y by "
+            f'-{degrees:.2g} degrees at {f_hz:g} Hz; a smaller dt_s makes it less, hold = "mean" takes it away '
+            "(fmu: and process:)"
+        )
 
 
 def _signal_and_points(config: Config, plant: PlantCard) -> tuple[Signal | None, list[Frequency], list[str]]:

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 FORMAT = "seqsweep-verification"
 VERSION = "1.0.0"
 
+SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-verification-1.schema.json"
+"""JSON schema of what `verify` writes."""
+
 _FAINT = 2e-3
 _LARGE = 0.5
 """Rates are read where r lies between these: below the estimate is noise, above nothing is linear."""

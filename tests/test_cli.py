@@ -260,6 +260,21 @@ def test_help_imports_nothing_heavy_and_is_quick():
 # Ctrl-C
 
 
+def test_a_request_to_end_is_ctrl_c(tmp_path):
+    """What a scheduler, `timeout` or docker sends, to the command alone."""
+    table = tmp_path / "y.parquet"
+    process = start("run", slow_campaign(tmp_path, plant="python:plants:SlowPythonBranch"), "-o", table, "--jobs", 2)
+    try:
+        wait_for(lambda: len(shards_of(table)) >= 1)
+        process.terminate()
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == INTERRUPTED, said
+        assert "run the same command again to go on" in said
+        wait_for(lambda: not group_members(process.pid), 10.0)
+    finally:
+        end_group(process)
+
+
 @pytest.mark.parametrize("backend", ["threading", "loky"])
 def test_ctrl_c_ends_within_two_seconds_and_the_same_command_goes_on(tmp_path, backend):
     plant = "python:plants:SlowBranch" if backend == "threading" else "python:plants:SlowPythonBranch"

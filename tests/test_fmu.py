@@ -105,6 +105,23 @@ def test_units_and_direction_are_those_of_the_campaign(built):
     assert np.max(np.abs(other + 5.0 * i)) <= 1e-6 * np.max(np.abs(i))
 
 
+@pytest.mark.parametrize("hold", ["start", "mean"])
+def test_a_step_told_the_mean_of_its_voltage_makes_the_branch_the_continuous_one(built, hold):
+    """R-L of 0.1 ohm and 1 mH at 50 us: with the value at the start, half a step of delay turns Re Y negative."""
+    f_hz = np.array([100.0, 300.0, 1000.0])
+    y = swept(fmu_plant(str(built("STATE")), **PARAMETERS, hold=hold), f_hz.tolist())[:, 0, 0]
+    error = np.abs(y * (0.1 + 2j * np.pi * f_hz * 1e-3) - 1.0)
+    print(
+        f"\n  hold = {hold}: {', '.join(f'{e:.1e}' for e in error)} at 100, 300, 1000 Hz, Re Y {y.real.min():+.4f} S",
+        end="",
+    )
+    assert (y.real.min() > 0.0) == (hold == "mean")
+    assert (error.max() < 1e-3) == (hold == "mean")
+    told = np.sinc(f_hz * 50e-6) * np.exp(1j * np.pi * f_hz * 50e-6)  # of a phasor, its mean over a step
+    expected = step_plants.admittance(f_hz) * (told if hold == "mean" else 1.0)
+    assert np.max(np.abs(y / expected - 1.0)) <= 1e-4
+
+
 def test_the_sweep_of_an_fmu_is_that_of_its_twin(built):
     f_hz = [20.0, 130.0, 400.0]
     y = [
@@ -133,9 +150,15 @@ def test_a_fatal_answer_costs_an_instance_and_the_next_point_gets_another(built,
         assert plant.settle(OperatingPoint(0.0, 690.0), Source()).step > 2000
 
 
+def test_an_operating_point_that_is_not_told_says_so(built):
+    untold = {name: value for name, value in PARAMETERS.items() if name != "active_power"}
+    assert fmu_plant(str(built("STATE")), **untold).power_meaning.startswith("not told to the FMU")
+
+
 def test_the_table_remembers_which_file_it_was(built):
     plant = fmu_plant(str(built("STATE")), **PARAMETERS)
-    assert plant.contents == {"file_sha256": fmu_archive.sha256_of(built("STATE")), "model": "box 3"}
+    contents = {"file_sha256": fmu_archive.sha256_of(built("STATE")), "model": "box 3", "held_late_s": 25e-6}
+    assert plant.contents == contents
 
 
 # Bad boxes
@@ -187,13 +210,17 @@ WRONG = {
         {"current": ["v_a", "i_b", "i_c"]},
         "current: variable 'v_a' .* is an input; needed: an output",
     ),
-    "four phases": ({"current": ["i_a"] * 4}, "current is .*; needed: the names of two variables"),
+    "four phases": ({"current": ["i_a", "i_b", "i_c", "i_alpha"]}, "current is .*; needed: the names of two variables"),
     "unknown start": ({"start": {"k_pl": 1.0}}, r"start: .* has no variable 'k_pl' \(did you mean 'k_pll'\?\)"),
     "start of an output": ({"start": {"i_a": 1.0}}, "start: variable 'i_a' .* cannot be set at the start"),
     "text for a number": ({"start": {"k_pll": "much"}}, "start: variable 'k_pll' is a Real; given 'much'"),
     "power": ({"active_power": "power"}, "active_power: .* has no variable 'power'"),
     "direction": ({"current_direction": "out"}, "current_direction is 'out'; needed: load, generator"),
-    "step": ({"dt_s": 0.0}, "dt_s is 0; needed"),
+    "step": ({"dt_s": 0.0}, "dt_s is 0.0; needed: a finite number above 0"),
+    "step in words": ({"dt_s": "50us"}, "dt_s is '50us'; needed: a finite number above 0"),
+    "unit": ({"current_unit_a": 0.0}, "current_unit_a is 0.0; needed: a finite number above 0"),
+    "twice": ({"voltage": ["v_a", "v_a", "v_c"]}, "voltage is .*; needed: each variable once"),
+    "hold": ({"hold": "middle"}, "hold is 'middle'; needed: start, mean"),
     "snapshot": ({"snapshot": "state"}, "cannot get and set its state"),
 }
 

@@ -226,8 +226,19 @@ def test_another_kind_of_controller_is_refused_with_the_ones_there_are():
 
 
 def test_a_signal_map_for_a_whole_device_is_told_where_it_belongs():
-    with pytest.raises(PlantError, match=r'id = "dpmsg-grey-v1", and controller = "fmu:x.fmu"'):
-        make_plant("fmu:x.fmu", {"inputs": {}})
+    for name in ("inputs", "controller", "sample_time_s"):
+        with pytest.raises(PlantError, match=r'id = "dpmsg-grey-v1", and controller = "fmu:x.fmu"'):
+            make_plant("fmu:x.fmu", {name: {}})
+
+
+def test_a_misspelt_parameter_is_told_the_nearest_one():
+    with pytest.raises(ValueError, match=r"no parameter 'delay_sample' \(did you mean 'delay_samples'\?\)"):
+        plant("STATE", delay_sample=1)
+
+
+def test_an_fmu_given_as_a_library_is_told_what_it_is():
+    with pytest.raises(ValueError, match=r'is an archive: if it is an FMU, give controller = "fmu:'):
+        GreyTurbine(f"cigre:{build_fmu('STATE')}", INPUTS, OUTPUTS)
 
 
 # ---------------------------------------------------------------------- faults

@@ -15,7 +15,7 @@ from seqsweep.plant.step import StepError, plant_from_step
 from . import step_plants
 from .commands import call, campaign
 from .step_plants import DT_S, KEEP, admittance
-from .sweeps import swept
+from .sweeps import planned, swept
 
 RATED = OperatingPoint(0.0, 690.0)
 GRID = Source("thevenin", r_ohm=0.012, l_h=0.8e-3, angle_rad=0.3)
@@ -85,6 +85,13 @@ def test_the_grid_is_that_of_an_independent_integrator():
     wanted = solve_ivp(slope, (t[0], t[-1]), [record.i[0]], t_eval=t, rtol=1e-9, atol=1e-6).y[0]
     # the device holds its voltage for a step: half a step of delay, 50e-6 / 2 * 2 pi 50, in a part of the loop
     assert np.max(np.abs(record.i - wanted)) <= 0.01 * np.max(np.abs(wanted))
+
+
+@pytest.mark.parametrize(("f_max_hz", "warned"), [(51.0, False), (900.0, True)])
+def test_a_plan_warns_where_half_a_step_of_delay_shows(f_max_hz, warned):
+    """50 us held from their start are 25 us late: 8.1 degrees at 900 Hz, half a degree at 51 Hz."""
+    warnings = planned(step_plants.branch(), f_hz=[10.0, f_max_hz]).warnings
+    assert any("which turns Y by -8.1 degrees at 900 Hz" in warning for warning in warnings) == warned
 
 
 def test_a_compiled_and_a_plain_step_are_one_device():

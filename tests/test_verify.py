@@ -6,6 +6,7 @@ import json
 import sys
 from dataclasses import replace
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from seqsweep.sweep.config import Config
 from seqsweep.sweep.plan import make_plan
 from seqsweep.sweep.scenario import ScenarioError, Story, read_story
 from seqsweep.sweep.verify import (
+    SCHEMA_FILE,
     VerifyError,
     cause_gone_of,
     compare,
@@ -154,6 +156,10 @@ def test_resonance_current_leaves_the_fundamental_out(result):
 def test_report_is_plain_json_and_text(result, tmp_path):
     content = to_json(result)
     assert json.loads(json.dumps(content, allow_nan=False)) == content
+    jsonschema.validate(content, json.loads(SCHEMA_FILE.read_text()))
+    for broken in ({"format": "else"}, {"runs": {"without": content["runs"]["without"]}}, {"damping": {"k": "much"}}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(content | broken, json.loads(SCHEMA_FILE.read_text()))
     assert content["runs"]["without"]["windows"][-1]["ratio"] is None
     text = format_report(result, 80)
     assert "synchronism lost at 0.69 s" in text
