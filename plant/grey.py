@@ -26,7 +26,8 @@ from .branches import Replays, SnapshotBox, Snapshots
 from .damping import checked_compensation
 from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .forked import BoxDied, Forks
-from .grey_core import SampledTurbine, warm_up
+from .grey_arguments import warm_up
+from .grey_core import SampledTurbine
 from .periodic import Patience
 from .protocol import (
     Conditions,

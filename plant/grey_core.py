@@ -8,19 +8,17 @@ order where the controller declares all that it remembers; else they must follow
 from __future__ import annotations
 
 import cmath
-import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from math import exp, isfinite, pi, sqrt, tan
+from math import exp, isfinite, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import dpmsg_equilibrium as stationary
 from . import grey_circuit as circuit
-from .damping import NOTCH_XI
 from .dpmsg_parameters import TurbineParameters
+from .grey_arguments import cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
 from .periodic import Clock, Patience, until_periodic, voltage_asked
 from .protocol import (
     Compensation,
@@ -38,7 +36,7 @@ from .protocol import (
 )
 from .sealed import ControllerFault, Sealed
 from .sources import series_tones, turns
-from .wiring import Map, wire
+from .wiring import wire
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak."""
@@ -150,7 +148,7 @@ class SampledTurbine:
         self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
         self._delay, self._patience = delay, patience
         self.compensation = block
-        self._port = _port(block, parameters.w1_rad_s, dt_s)
+        self._port = port_of(block, parameters.w1_rad_s, dt_s)
         self.controller = open_controller()
         self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
 
@@ -249,7 +247,7 @@ class SampledTurbine:
 
     def _terminals(self, state: GreyState) -> tuple[complex, complex]:
         """v_pcc and i_g."""
-        network = _network(self.parameters, state.source, self.dt_s)
+        network = cached_network(self.parameters, state.source, self.dt_s)
         e = state.v_source * turns(self.f1_hz * state.step * self.dt_s)
         v, i_g = network.v_states @ state.x[:3], network.i_states @ state.x[:3]
         return complex(v + network.v_source * e), complex(i_g + network.i_source * e)
@@ -380,7 +378,7 @@ class SampledTurbine:
             skew = None
             if any(conditions.fault_s):
                 fault = self.parameters, start.source, self.f1_hz, self.dt_s, conditions.fault_s
-                network, forcing, skew = _faulted(*fault)
+                network, forcing, skew = cached_fault(*fault)
                 source = source._replace(forcing=forcing)
             return kernel.advance_tracing(box._replace(port=port), source, network, skew, *others)
 
@@ -473,8 +471,8 @@ class SampledTurbine:
         from .kernels import grey as kernel
 
         controller = self.controller
-        inputs, outputs = _cells(controller.inputs.cells), _cells(controller.outputs.cells)
-        return kernel.Box(controller.addresses, controller.time, inputs, outputs, _wiring(self._map), self._port)
+        inputs, outputs = cells_of(controller.inputs.cells), cells_of(controller.outputs.cells)
+        return kernel.Box(controller.addresses, controller.time, inputs, outputs, wiring_of(self._map), self._port)
 
     def _port_at_rest(self, i_g: complex) -> tuple[complex, complex]:
         """States of the band pass that lets the fundamental ``i_g`` through whole."""
@@ -489,7 +487,7 @@ class SampledTurbine:
         quantities = np.zeros(kernel.N_QUANTITIES)
         quantities[kernel.P_REF], quantities[kernel.V_REF], quantities[kernel.ONE] = state.power_w, state.voltage_v, 1.0
         store = kernel.Store(self.parameters.c_dc_f, state.power_w, self.dt_s, self._delay)
-        return _network(self.parameters, state.source, self.dt_s), store, quantities
+        return cached_network(self.parameters, state.source, self.dt_s), store, quantities
 
     def _tones(self, job: Job) -> Any:
         """The source as the kernel takes it, the fundamental first."""
@@ -504,91 +502,15 @@ class SampledTurbine:
         return kernel.Tones(
             np.array([amplitude * turns(f_hz * first_s) for f_hz, amplitude in tones]),
             np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
-            np.array([_forcing(self.parameters, source, f_hz, self.dt_s) for f_hz, _ in tones]),
+            np.array([cached_forcing(self.parameters, source, f_hz, self.dt_s) for f_hz, _ in tones]),
         )
 
     def _silent_port(self) -> str:
         """The first wired output that is not finite, in words."""
-        cells = _cells(self.controller.outputs.cells)
+        cells = cells_of(self.controller.outputs.cells)
         for part in self._map.outputs:
             if not isfinite(getattr(cells, part.type)[part.cell]):
                 for port in self.controller.output_terminals:
                     if port.type == part.type and port.first <= part.cell < port.first + port.width:
                         return f"output port {port.name!r}"
         return "an output"
-
-
-@lru_cache(maxsize=64)
-def _network(p: TurbineParameters, source: Source, dt_s: float) -> Any:
-    return circuit.network(p, source, dt_s)
-
-
-@lru_cache(maxsize=4096)
-def _forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
-    return circuit.forcing(p, source, f_hz, dt_s)
-
-
-@lru_cache(maxsize=64)
-def _faulted(
-    p: TurbineParameters, source: Source, f_hz: float, dt_s: float, fault_s: tuple[float, float, float]
-) -> tuple[Any, np.ndarray, Any]:
-    return circuit.faulted(p, source, f_hz, dt_s, fault_s)
-
-
-def _port(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
-    """The compensation as the kernel takes it: the notch by the bilinear rule, exact at its centre."""
-    from .kernels.grey import Port
-
-    centre = tan(0.5 * w1_rad_s * dt_s)
-    share = 1.0 / (1.0 + 2.0 * NOTCH_XI * centre + centre**2)
-    return Port(
-        block.r_ohm,
-        block.x_ohm,
-        2.0 * NOTCH_XI * centre * share,
-        2.0 * (centre**2 - 1.0) * share,
-        (1.0 - 2.0 * NOTCH_XI * centre + centre**2) * share,
-    )
-
-
-def _cells(memory: np.ndarray) -> Any:
-    from .kernels.grey import CELL_TYPES, Cells
-
-    return Cells(*(memory.view(kind) for kind in CELL_TYPES))
-
-
-def _wiring(signals: Map) -> Any:
-    from .kernels import grey as kernel
-
-    kinds = {name: kind for kind, name in enumerate(kernel.CELL_TYPES)}
-    inputs, outputs = signals.inputs, signals.outputs
-    return kernel.Wiring(
-        np.array([kinds[part.type] for part in inputs], np.int64),
-        np.array([part.cell for part in inputs], np.int64),
-        np.array([getattr(kernel, part.quantity) for part in inputs], np.int64),
-        np.array([part.gain for part in inputs], float).reshape(-1, 2),
-        np.array([kinds[part.type] for part in outputs], np.int64),
-        np.array([part.cell for part in outputs], np.int64),
-        np.array([part.weight for part in outputs], complex),
-        signals.modulated,
-    )
-
-
-def warm_up() -> None:
-    """Compile or load the kernels, by a controller that does nothing."""
-    from .kernels import grey as kernel
-
-    nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
-    cells, wiring = _cells(np.zeros(8, np.uint8)), _wiring(Map((), (), False))
-    addresses = np.array([ctypes.cast(nothing, ctypes.c_void_p).value, 0], np.int64)
-    box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring, kernel.Port(0.0, 0.0, 0.0, 0.0, 0.0))
-    source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex))
-    network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0)
-    quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
-    kernel.inform(box, network, store, quantities, x, 0j, 1.0)
-    common = (box, source, network, store, 0, quantities, x, 1.0)
-    v, i, seen = np.zeros(1, complex), np.zeros(1, complex), np.zeros(2, complex)
-    kernel.advance_recording(*common, v, i)
-    for skew in (None, kernel.Skew(network, source.forcing, 1j)):
-        kernel.advance_tracing(box, source, network, skew, *common[3:], v, i, np.zeros(1), seen, 1.0)
-    lines = np.ones(2, complex)
-    kernel.advance_blocks(*common, lines, lines, 1j, 1j, 1, np.zeros((1, 4), complex))

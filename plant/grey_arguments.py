@@ -1,0 +1,97 @@
+"""What the kernel of the grey-box circuit takes: networks, ports and memories in its shape, and its compilation."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from math import tan
+from typing import Any
+
+import numpy as np
+
+from . import grey_circuit as circuit
+from .damping import NOTCH_XI
+from .dpmsg_parameters import TurbineParameters
+from .protocol import Compensation, Source
+from .wiring import Map
+
+
+@lru_cache(maxsize=64)
+def cached_network(p: TurbineParameters, source: Source, dt_s: float) -> Any:
+    """As `grey_circuit.network`, without a fault."""
+    return circuit.network(p, source, dt_s)
+
+
+@lru_cache(maxsize=4096)
+def cached_forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
+    """As `grey_circuit.forcing`, without a fault."""
+    return circuit.forcing(p, source, f_hz, dt_s)
+
+
+@lru_cache(maxsize=64)
+def cached_fault(
+    p: TurbineParameters, source: Source, f_hz: float, dt_s: float, fault_s: tuple[float, float, float]
+) -> tuple[Any, np.ndarray, Any]:
+    """As `grey_circuit.faulted`."""
+    return circuit.faulted(p, source, f_hz, dt_s, fault_s)
+
+
+def port_of(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
+    """The compensation as the kernel takes it: the notch by the bilinear rule, exact at its centre."""
+    from .kernels.grey import Port
+
+    centre = tan(0.5 * w1_rad_s * dt_s)
+    share = 1.0 / (1.0 + 2.0 * NOTCH_XI * centre + centre**2)
+    return Port(
+        block.r_ohm,
+        block.x_ohm,
+        2.0 * NOTCH_XI * centre * share,
+        2.0 * (centre**2 - 1.0) * share,
+        (1.0 - 2.0 * NOTCH_XI * centre + centre**2) * share,
+    )
+
+
+def cells_of(memory: np.ndarray) -> Any:
+    """A stretch of memory, seen as each type."""
+    from .kernels.grey import CELL_TYPES, Cells
+
+    return Cells(*(memory.view(kind) for kind in CELL_TYPES))
+
+
+def wiring_of(signals: Map) -> Any:
+    """The signal map as the kernel takes it."""
+    from .kernels import grey as kernel
+
+    kinds = {name: kind for kind, name in enumerate(kernel.CELL_TYPES)}
+    inputs, outputs = signals.inputs, signals.outputs
+    return kernel.Wiring(
+        np.array([kinds[part.type] for part in inputs], np.int64),
+        np.array([part.cell for part in inputs], np.int64),
+        np.array([getattr(kernel, part.quantity) for part in inputs], np.int64),
+        np.array([part.gain for part in inputs], float).reshape(-1, 2),
+        np.array([kinds[part.type] for part in outputs], np.int64),
+        np.array([part.cell for part in outputs], np.int64),
+        np.array([part.weight for part in outputs], complex),
+        signals.modulated,
+    )
+
+
+def warm_up() -> None:
+    """Compile or load the kernels, by a controller that does nothing."""
+    from .kernels import grey as kernel
+
+    nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
+    cells, wiring = cells_of(np.zeros(8, np.uint8)), wiring_of(Map((), (), False))
+    addresses = np.array([ctypes.cast(nothing, ctypes.c_void_p).value, 0], np.int64)
+    box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring, kernel.Port(0.0, 0.0, 0.0, 0.0, 0.0))
+    source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex))
+    network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0)
+    quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
+    kernel.inform(box, network, store, quantities, x, 0j, 1.0)
+    common = (box, source, network, store, 0, quantities, x, 1.0)
+    v, i, seen = np.zeros(1, complex), np.zeros(1, complex), np.zeros(2, complex)
+    kernel.advance_recording(*common, v, i)
+    for skew in (None, kernel.Skew(network, source.forcing, 1j)):
+        kernel.advance_tracing(box, source, network, skew, *common[3:], v, i, np.zeros(1), seen, 1.0)
+    lines = np.ones(2, complex)
+    kernel.advance_blocks(*common, lines, lines, 1j, 1j, 1, np.zeros((1, 4), complex))
