@@ -332,7 +332,8 @@ def test_a_hundred_points_with_an_fmu_take_less_than_twenty_seconds_on_two_cores
 def test_the_host_of_an_fmu_costs_at_most_a_third_of_a_microsecond_a_step():
     """CPU time of the loop, circuit and listening included, less that of the controls alone, called as a library:
     what the FMU itself spends in setting and getting its variables counts as the host's."""
-    core = plant("STATE")._core
+    device = plant("STATE")  # with it its files would go
+    core = device._core
     state, n_steps, whole = core.settle(POINT, Source()), 1_000_000, []
     for _ in range(5):
         begun = time.process_time()
