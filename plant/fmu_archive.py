@@ -46,6 +46,8 @@ def look_through(path: Path) -> list[Member]:
             infos = archive.infolist()
     except FileNotFoundError:
         raise ArchiveError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise ArchiveError(f"{path}: a folder, not an FMU; give the .fmu file itself") from None
     except (OSError, zipfile.BadZipFile, UnicodeDecodeError, ValueError) as error:
         raise ArchiveError(f"{path}: not an FMU: {error}") from None
     if len(infos) > MOST_MEMBERS:
