@@ -67,12 +67,12 @@ def measure(quick: bool) -> Report:
 
 def _one(way: Way) -> Found:
     from seqsweep.identify.uncertainty import relative_uncertainty
-    from seqsweep.plant.dpmsg import ReferenceTurbine
-    from seqsweep.sweep.campaign import response_of
-    from seqsweep.sweep.config import Config
-    from seqsweep.sweep.linearity import judged
+    from seqsweep.plant.turbine.reference import ReferenceTurbine
+    from seqsweep.sweep.config.sections import Config
     from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.measure.linearity import judged
     from seqsweep.sweep.plan import make_plan
+    from seqsweep.sweep.run.campaign import response_of
 
     sys.path.insert(0, str(ROOT / "tests"))
     import oracle

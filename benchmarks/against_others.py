@@ -40,8 +40,8 @@ def _rate(function: Callable[[], object], simulated_s: float, repetitions: int) 
 
 
 def _ours(repetitions: int) -> dict[str, float]:
-    from seqsweep.plant.dpmsg import ReferenceTurbine
     from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
+    from seqsweep.plant.turbine.reference import ReferenceTurbine
 
     plant = ReferenceTurbine()
     state = plant.settle(OperatingPoint(POWER_W, VOLTAGE_V), Source())
@@ -69,8 +69,8 @@ def _scipy(repetitions: int, simulated_s: float) -> dict[str, float]:
     sys.path.insert(0, str(ROOT / "tests"))
     import oracle
 
-    from seqsweep.plant.dpmsg_parameters import TABLE_I
     from seqsweep.plant.kernels import turbine as kernel
+    from seqsweep.plant.turbine.parameters import TABLE_I
 
     x, wind = oracle.equilibrium(POWER_W, VOLTAGE_V)
     nu, amplitude = 2.0 * np.pi * (TONE_HZ - 50.0), AMPLITUDE * VOLTAGE_V

@@ -151,7 +151,7 @@ def table_1_plan(*settings: str) -> tuple[Any, Any]:
 def planned(campaign: Path, *settings: str) -> tuple[Any, Any]:
     """Plan and plant of a campaign."""
     from seqsweep.plant.registry import make_plant
-    from seqsweep.sweep.config import load_config
+    from seqsweep.sweep.config.sections import load_config
     from seqsweep.sweep.plan import make_plan
 
     config = load_config(campaign, settings)

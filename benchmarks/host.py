@@ -56,9 +56,10 @@ def measure(quick: bool) -> Report:
 
 
 def _steps(report: Report, folder: Path, name: str, defines: tuple[str, ...], n: int) -> None:
-    from seqsweep.plant.fmu import fmu_plant
-    from seqsweep.plant.threephase import abc_of
     from tests.fmus import PARAMETERS, fmu, library
+
+    from seqsweep.plant.fmu.device import fmu_plant
+    from seqsweep.plant.space_vectors import abc_of
 
     path = fmu(folder, *defines)
     alone = _alone_ns(folder, library(str(folder), defines), n)
@@ -133,12 +134,13 @@ def _sweep(report: Report, folder: Path, name: str, defines: tuple[str, ...]) ->
 
 def _cpu_s(campaign: Path, path: Path) -> float:
     """CPU time (s) of every batch in this process, that of nursery and forks included."""
-    from seqsweep.plant.fmu import fmu_plant
-    from seqsweep.sweep.config import load_config
-    from seqsweep.sweep.measure import measure
-    from seqsweep.sweep.plan import make_plan
     from tests.commands import family_s
     from tests.fmus import PARAMETERS
+
+    from seqsweep.plant.fmu.device import fmu_plant
+    from seqsweep.sweep.config.sections import load_config
+    from seqsweep.sweep.measure.measure import measure
+    from seqsweep.sweep.plan import make_plan
 
     plant: Any = fmu_plant(str(path), **PARAMETERS)
     plan = make_plan(load_config(campaign), plant)

@@ -84,10 +84,10 @@ def _timed() -> dict[str, Any]:
 
 def _experiment(source_kind: str, integrator: str = "rk4") -> tuple[Any, tuple[Any, ...], int]:
     """A kernel, its arguments but for the blocks, and the slot of the sums: eight lanes, a tone at 77 Hz each."""
-    from seqsweep.plant.dpmsg import ReferenceTurbine
-    from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
     from seqsweep.plant.kernels import turbine as kernel
     from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
+    from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
+    from seqsweep.plant.turbine.reference import ReferenceTurbine
 
     plant = ReferenceTurbine(integrator=integrator)
     source = Source() if source_kind == "ideal" else Source("thevenin", LINE_R_OHM, LINE_L_H)

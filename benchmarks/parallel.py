@@ -30,8 +30,8 @@ def measure(quick: bool) -> Report:
 
 def child(quick: bool) -> dict[str, float]:
     """Times (s) and efficiencies."""
-    from seqsweep.sweep.campaign import run
     from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.run.campaign import run
 
     plan, plant = table_1_plan("sweep.tolerance=1e-4")
     batches = list(plan.batches())

@@ -52,7 +52,7 @@ def _exponent(n: list[float], cost: list[float]) -> float:
 
 def child(powers_voltages: int, points: int) -> dict[str, Any]:
     """One campaign of ``powers_voltages`` operating points and about ``points`` frequencies, once warm."""
-    from seqsweep.sweep.campaign import run
+    from seqsweep.sweep.run.campaign import run
 
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "campaign.toml"

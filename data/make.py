@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seqsweep.identify.exchange_mat import mat_bytes
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
+from seqsweep.identify.exchange.mat import mat_bytes
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.comtrade_file import AnalogChannel, Encoding, write_comtrade
-from seqsweep.sweep.manifest_file import Experiment, Manifest, PlayedTone
-from seqsweep.sweep.playback import phases
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
+from seqsweep.sweep.playback.comtrade import AnalogChannel, Encoding, write_comtrade
+from seqsweep.sweep.playback.manifest import Experiment, Manifest, PlayedTone
+from seqsweep.sweep.playback.waveform_files import phases
 
 HERE = Path(__file__).parent
 

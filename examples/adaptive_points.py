@@ -14,13 +14,13 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 
-from seqsweep.identify.adaptive import interpolate
+from seqsweep.identify.fit.adaptive import interpolate
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import read_table
+from seqsweep.identify.table.read import read_table
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.campaign import run
-from seqsweep.sweep.config import Config
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.run.campaign import run
 
 
 def sweep(**grid: object) -> FrequencyResponse:

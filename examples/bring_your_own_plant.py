@@ -103,7 +103,7 @@ def main() -> None:
     import os
     import subprocess
 
-    from seqsweep.identify.table import read_table
+    from seqsweep.identify.table.read import read_table
     from seqsweep.plant.check import check_plant
 
     for finding in check_plant(Load()):

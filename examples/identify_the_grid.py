@@ -14,11 +14,11 @@ from math import pi
 import numpy as np
 
 from seqsweep.identify.grid_impedance import identify_grid
-from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source
-from seqsweep.sweep.grid_plot import plot
-from seqsweep.sweep.grid_probe import GridSeen, make_probe
-from seqsweep.sweep.signals import tones
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.excitation.signals import tones
+from seqsweep.sweep.grid_probe.figure import plot
+from seqsweep.sweep.grid_probe.probe import GridSeen, make_probe
 
 R_OHM, X_OHM, NOISE = 0.012, 0.25, 0.005
 

@@ -7,7 +7,7 @@ state and the current at the end of the step (A, into the device). Under `numba.
 times as fast.
 """
 
-from seqsweep.plant.step import plant_from_step
+from seqsweep.plant.boxes.step_function import plant_from_step
 
 
 def step(i, v, dt):

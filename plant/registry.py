@@ -29,9 +29,9 @@ from .protocol import OperatingRange, PhasorPlant, Plant, Rating
 ENTRY_POINT_GROUP = "seqsweep.plants"
 
 _KINDS = {
-    "fmu": "seqsweep.plant.fmu:fmu_plant",
-    "cigre": "seqsweep.plant.grey:around_library",
-    "process": "seqsweep.plant.process:process_plant",
+    "fmu": "seqsweep.plant.fmu.device:fmu_plant",
+    "cigre": "seqsweep.plant.greybox.turbine:around_library",
+    "process": "seqsweep.plant.boxes.program:process_plant",
 }
 """Kinds of black boxes: what stands before the colon, and the factory that takes what stands behind it."""
 
@@ -351,6 +351,6 @@ def _did_you_mean(given: str, known: Iterable[str]) -> str:
     return f" (did you mean {nearest[0]!r}?)" if nearest else ""
 
 
-register("branch-v1", "seqsweep.plant.branch:RLBranch")
-register("dpmsg-v1", "seqsweep.plant.dpmsg:ReferenceTurbine")
-register("dpmsg-grey-v1", "seqsweep.plant.grey:GreyTurbine", black_box=True)
+register("branch-v1", "seqsweep.plant.rl_branch:RLBranch")
+register("dpmsg-v1", "seqsweep.plant.turbine.reference:ReferenceTurbine")
+register("dpmsg-grey-v1", "seqsweep.plant.greybox.turbine:GreyTurbine", black_box=True)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .injection import check_source, series_tones, turns
 from .protocol import (
     Job,
     OperatingPoint,
@@ -27,7 +28,6 @@ from .protocol import (
     Source,
     Window,
 )
-from .sources import check_source, series_tones, turns
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.fit import fit_response
-from ..identify.rational import evaluate_pn
+from ..identify.fit.model import fit_response
+from ..identify.fit.rational import evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard
@@ -22,13 +22,13 @@ from ..tuning.gain import GainSearch, search_gain
 from ..tuning.result import PointTuning, TuningResult, confirmed
 from ..tuning.siso import Grid
 from ..tuning.stability import bode_crossings, critical_crossing, swept_band
-from .campaign import response_of
-from .config import Config
-from .isolate import children, plant_or_card
-from .linearity import judged
-from .measure import measure
+from .config.sections import Config
+from .measure.linearity import judged
+from .measure.measure import measure
+from .measure.rows import BatchResult
 from .plan import Plan, make_plan
-from .rows import BatchResult
+from .run.campaign import response_of
+from .run.host import children, plant_or_card
 
 Report = Callable[[str], None]
 

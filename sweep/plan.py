@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.table_format import content_hash
+from ..identify.table.format import content_hash
 from ..plant.protocol import (
     Injection,
     InjectionKind,
@@ -25,11 +25,11 @@ from ..plant.protocol import (
     reactance_to_inductance,
 )
 from ..plant.registry import PlantCard, PlantSpec, card_of, runs_isolated
-from .config import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SweepSection
-from .grid import Block, Frequency, coherent_block, generated, listed
-from .rounds import Adaptive, first_round
-from .signal_choice import broadband
-from .signals import AXES, Axis, Signal, negated, tones
+from .config.sections import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SweepSection
+from .excitation.adaptive_rounds import Adaptive, first_round
+from .excitation.choice import broadband
+from .excitation.frequencies import Block, Frequency, coherent_block, generated, listed
+from .excitation.signals import AXES, Axis, Signal, negated, tones
 
 RESULT_VERSION = 2
 """Part of every hash: raise it when the same shot gives another number."""

@@ -15,7 +15,7 @@ HEAD = """# Evidence
 
 The heavy trials behind the figures of the other pages, as the last `make evidence` printed them. That command
 rewrites this page; a test that fails stops it from doing so. A run of some of the trials
-(`python -m pytest -m evidence tests/test_noise.py`) rewrites their sections.
+(`python -m pytest -m evidence tests/identify/test_noise.py`) rewrites their sections.
 """
 
 _said: dict[str, str] = {}

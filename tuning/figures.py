@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..identify.rational import RationalModel, evaluate_pn
+from ..identify.fit.rational import RationalModel, evaluate_pn
 from .intervals import NORMAL_95, relative_error_of_y1
 from .result import PointTuning, TuningResult, with_doubt
 from .siso import Grid, Siso, siso

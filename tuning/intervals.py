@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
 from ..identify.frames import T_INVERSE, T, dq_to_pn
-from ..identify.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
 from .stability import Crossing

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.frames import T_INVERSE, T, dq_to_pn
-from ..identify.rational import RationalModel, evaluate, evaluate_pn
 from .poles import closed_loop_poles, is_beyond, mode_shape
 from .siso import Grid, impedance_dq
 

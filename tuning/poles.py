@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.rational import RationalModel, derivative, evaluate, spread
+from ..identify.fit.rational import RationalModel, derivative, evaluate, spread
 from .siso import Grid, check_fundamental, impedance_dq
 
 RESONANCE_FROM_HZ = 5.0

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.rational import RationalModel, gradient, row_shares
+from ..identify.fit.rational import RationalModel, gradient, row_shares
 from .poles import mode_weight
 from .siso import Grid
 

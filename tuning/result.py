@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.rational import RationalModel
+from ..identify.fit.rational import RationalModel
 from .gain import GainSearch
 from .intervals import NORMAL_95, Interval
 from .margins import LocusMargins, Participation
@@ -189,7 +189,7 @@ def to_json(result: TuningResult) -> dict[str, Any]:
 
 def write_json(result: TuningResult, path: str | Path) -> None:
     """Write the result as JSON, atomically."""
-    from ..identify.atomic import atomic_file
+    from ..identify.files import atomic_file
 
     text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
     with atomic_file(path) as file:

@@ -14,9 +14,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.rational import RationalModel, evaluate, evaluate_pn, spread
-from .advice import remedy
+from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn, spread
 from .poles import ClosedLoop, closed_loop
+from .remedy import remedy
 from .siso import Grid, check_fundamental, impedance_dq, impedance_pn, siso
 
 MAX_STEP_DEG = 30.0

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..identify.fit import MIN_POINTS, fit_response
-from ..identify.folded import to_dq
-from ..identify.rational import RationalModel, evaluate, evaluate_pn
+from ..identify.fit.dq_data import to_dq
+from ..identify.fit.model import MIN_POINTS, fit_response
+from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from .gain import gain_for_margin, predicted_crossing
+from .grid_check import grid_warnings
 from .intervals import margin_interval, scale_interval
 from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
-from .operating import grid_warnings
 from .result import PointTuning, TuningResult
 from .siso import Grid, check_fundamental
 from .stability import Stability, judge, swept_band
 
 if TYPE_CHECKING:
-    from ..identify.table import Table
+    from ..identify.table.read import Table
 
 MAX_MISFIT = 0.03
 """Median relative misfit beyond which a fit is not believed."""

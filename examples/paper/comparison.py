@@ -10,7 +10,7 @@ import numpy as np
 from simulated import Run, Story, short_circuit_ratio
 from swept import F_R_PAPER_HZ, K_PAPER, MARGIN, SCENARIO, SCRS, Study, crossing_of, mode_of, pair_of
 
-from seqsweep.plant.damping import notch
+from seqsweep.plant.damping.control import notch
 
 BEGIN = "<!-- written by examples/paper/reproduce.py: begin -->"
 END = "<!-- written by examples/paper/reproduce.py: end -->"

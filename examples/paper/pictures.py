@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from simulated import THRESHOLD, Run, Story
 from swept import K_PAPER, Study, crossing_of, mode_of, moved_poles, pair_of, siso_of
 
-from seqsweep.plant.damping import notch
-from seqsweep.sweep.verify_plot import (
+from seqsweep.plant.damping.control import notch
+from seqsweep.sweep.verify.figure import (
     Curve,
     draw_frequency,
     draw_power,

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from swept import SCR_1_8, Z_GRID
 
-from seqsweep.plant.damping import DampingSettings
-from seqsweep.plant.events import Event, Fault, FaultKind, GridStep, Scenario, Trajectory, TurbineStep, simulate
+from seqsweep.plant.damping.control import DampingSettings
+from seqsweep.plant.damping.events import Event, Fault, FaultKind, GridStep, Scenario, Trajectory, TurbineStep, simulate
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.verify import RunReport, has_equilibrium, report
+from seqsweep.sweep.verify.verify import RunReport, has_equilibrium, report
 
 SOURCE_V = 690.0
 STEP_S = 0.1

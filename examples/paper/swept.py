@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqsweep.identify.rational import evaluate_pn
-from seqsweep.sweep.config import Config
+from seqsweep.identify.fit.rational import evaluate_pn
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.confirm import margin_with, sweep_with_damping
 from seqsweep.tuning.gain import GainSearch, search_gain
 from seqsweep.tuning.result import PointTuning

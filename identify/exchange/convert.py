@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from .exchange import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
-from .frames import to_frame
-from .response import Frame, FrequencyResponse
-from .table_format import TableError, complete_metadata
-from .table_rules import metadata_violations, row_violations
-from .table_write import rows_of
+from ..frames import to_frame
+from ..response import Frame, FrequencyResponse
+from ..table.format import TableError, complete_metadata
+from ..table.rules import metadata_violations, row_violations
+from ..table.write import rows_of
+from .facts import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
 
 # In
 

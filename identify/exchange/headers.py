@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .exchange import ExchangeError
-from .table_format import ELEMENTS, QUALITY
+from ..table.format import ELEMENTS, QUALITY
+from .facts import ExchangeError
 
 DQ_ELEMENTS = ("dd", "dq", "qd", "qq")
 POSITION = {

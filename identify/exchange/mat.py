@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from .atomic import atomic_file
-from .exchange import (
+from ..files import atomic_file
+from ..table.format import QUALITY, std_of
+from .convert import Outgoing, the_one
+from .facts import (
     MAX_BYTES,
     TABLE_FACTS,
     ExchangeError,
@@ -32,8 +34,6 @@ from .exchange import (
     texts,
     unit_factor,
 )
-from .exchange_table import Outgoing, the_one
-from .table_format import QUALITY, std_of
 
 _HEADER = b"MATLAB 5.0 MAT-file, written by seqsweep".ljust(116)
 _COMPRESSED = 15

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from .exchange import ExchangeError, extra
-from .response import FrequencyResponse
-from .table import Table
-from .table_format import ELEMENTS, std_of
+from ..response import FrequencyResponse
+from ..table.format import ELEMENTS, std_of
+from ..table.read import Table
+from .facts import ExchangeError, extra
 
 ROUND_TRIP = 1e-12
 """Largest relative error (norm of a 2x2) that scattering parameters may bring."""

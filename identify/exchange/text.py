@@ -19,8 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from .atomic import atomic_file
-from .exchange import (
+from ..files import atomic_file
+from ..response import FrequencyResponse
+from ..table.format import ELEMENTS, QUALITY, canonical_json, std_of
+from .convert import Outgoing
+from .facts import (
     TABLE_FACTS,
     ExchangeError,
     Facts,
@@ -35,10 +38,7 @@ from .exchange import (
     texts,
     unit_factor,
 )
-from .exchange_headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_columns, variables_header
-from .exchange_table import Outgoing
-from .response import FrequencyResponse
-from .table_format import ELEMENTS, QUALITY, canonical_json, std_of
+from .headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_columns, variables_header
 
 Places = dict[tuple[int, int], dict[str, int]]
 """Row and column of an element to the numbers of the columns that hold its parts."""

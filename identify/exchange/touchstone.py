@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .atomic import atomic_file
-from .exchange import (
+from ..files import atomic_file
+from .convert import Outgoing, the_one
+from .facts import (
     ExchangeError,
     Facts,
     Found,
@@ -27,8 +28,7 @@ from .exchange import (
     facts_of,
     points_of,
 )
-from .exchange_objects import to_network
-from .exchange_table import Outgoing, the_one
+from .objects import to_network
 
 
 def write_touchstone(path: str | Path, out: Outgoing, z0_ohm: float | None = None) -> None:

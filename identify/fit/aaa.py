@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .folded import DqData
+from .dq_data import DqData
 
 
 class Barycentric(NamedTuple):

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .barycentric import interpolants, poles
-from .fit import fit_poles
-from .folded import DqData, to_dq
-from .frames import dq_to_pn
+from ..frames import dq_to_pn
+from ..response import FrequencyResponse
+from .aaa import interpolants, poles
+from .dq_data import DqData, to_dq
+from .model import fit_poles
 from .rational import RationalModel, evaluate, gradient
-from .response import FrequencyResponse
 
 FIRST_POINTS = 8
 """Places of the first round, without the ends of the band."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .folded import ELEMENTS
+from .dq_data import ELEMENTS
 from .least_squares import (
     Linear,
     Problem,
@@ -19,7 +19,7 @@ from .least_squares import (
     refine,
     solve_residues,
 )
-from .model_order import with_pair
+from .order import with_pair
 from .partial_fractions import counts_upper, order_of, parts
 from .rational import Rational, RationalModel
 from .residue_ranks import cut_ranks, truncated, uncut

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .frames import T_INVERSE, T, pn_to_dq
-from .response import FrequencyResponse
+from ..frames import T_INVERSE, T, pn_to_dq
+from ..response import FrequencyResponse
 
 ELEMENTS = 4
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .folded import ELEMENTS, DqData
+from .dq_data import ELEMENTS, DqData
 from .partial_fractions import basis, counts_upper, order_of, pairs_joined, separated
 
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode

@@ -21,13 +21,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .finished import finished
-from .folded import ELEMENTS, DqData, to_dq
+from ..response import FrequencyResponse
+from .covariance import finished
+from .dq_data import ELEMENTS, DqData, to_dq
 from .least_squares import Problem, Trial, refine, solve_residues, weighted
-from .model_order import drop_faint_instability, drop_outliers, prune, select_order, settle_far_poles
+from .order import drop_faint_instability, drop_outliers, prune, select_order, settle_far_poles
 from .partial_fractions import order_of, upper_half
 from .rational import RationalModel
-from .response import FrequencyResponse
 from .vector_fit import vector_fit
 
 MIN_POINTS = 8

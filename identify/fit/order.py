@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .folded import ELEMENTS
+from .dq_data import ELEMENTS
 from .least_squares import Problem, Trial, floor_cost, refine, solve_residues, trial_at
 from .partial_fractions import basis, order_of, upper_half
 from .rational import RationalModel

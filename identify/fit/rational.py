@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .folded import ELEMENTS
-from .frames import dq_to_pn
+from ..frames import dq_to_pn
+from .dq_data import ELEMENTS
 from .partial_fractions import basis, counts
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .folded import ELEMENTS
+from .dq_data import ELEMENTS
 from .least_squares import Linear, Problem, Trial, block_diagonal, datum_variance, inverse_r
 from .partial_fractions import counts_upper, order_of, parts
 

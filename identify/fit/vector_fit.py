@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .folded import ELEMENTS
+from .dq_data import ELEMENTS
 from .least_squares import Problem, Trial, floor_cost, stacked, trial_at
 from .partial_fractions import basis, counts_upper, order_of, upper_half
 

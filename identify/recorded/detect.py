@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .hear import (
+from .line_fit import Waveforms
+from .tones import (
     ABOVE_NOISE,
     SPECTRUM_SAMPLES,
     fundamental,
@@ -19,7 +20,6 @@ from .hear import (
     neighbourhood,
     taken_off,
 )
-from .joint import Waveforms
 
 FRAME_S = (0.2, 1.0)
 """Shortest and longest frame (s)."""

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..plant.protocol import Record
+from ...plant.protocol import Record
 
 RANK = 1e-12
 """Directions of a segment's exponentials weaker than this are not told apart within one segment."""

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .hear import HearingError, fundamental, line_basis
-from .joint import Line, Waveforms, constant, follow, project, solve
-from .uncertainty import real_covariance, student_factor
+from ..uncertainty import real_covariance, student_factor
+from .line_fit import Line, Waveforms, constant, follow, project, solve
+from .tones import HearingError, fundamental, line_basis
 
 DEGREE = 2
 """Of the polynomials."""

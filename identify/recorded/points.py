@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .admittance import components
-from .hear import Heard
-from .local import Local
-from .quality import COND_LIMIT
-from .uncertainty import real_covariance, student_factor
+from ..admittance import components
+from ..settling import COND_LIMIT
+from ..uncertainty import real_covariance, student_factor
+from .local_polynomial import Local
+from .tones import Heard
 
 NOISY = 0.1
 """Standard deviation of Y, relative to its norm, above which a row is `noisy`."""

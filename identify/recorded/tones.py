@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .joint import (
+from .line_fit import (
     Line,
     Phases,
     Segments,

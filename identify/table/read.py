@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from .response import FrequencyResponse
-from .table_format import (
+from ..response import FrequencyResponse
+from .format import (
     COLUMNS,
     ELEMENTS,
     FORMAT,
@@ -270,7 +270,7 @@ def validate_table(path: str | Path) -> list[str]:
     Rows are judged once the columns are there and of the right type. Nothing is raised: a file
     that cannot be read at all is a violation too.
     """
-    from . import table_rules
+    from . import rules as table_rules
 
     violations: list[str] = []
     try:

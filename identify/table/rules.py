@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from .response import STATUSES
-from .table_format import ELEMENTS, QUALITY, content_hash, std_of, unpack_covariance
+from ..response import STATUSES
+from .format import ELEMENTS, QUALITY, content_hash, std_of, unpack_covariance
 
 Columns = Mapping[str, np.ndarray]
 
-SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-admittance-1.schema.json"
+SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-admittance-1.schema.json"
 
 # A point that was never measured has no value; a measured one has, however doubtful. A singular V has none either.
 MAY_BE_NAN = ("not_settled", "diverged", "failed", "ill_conditioned")

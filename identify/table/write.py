@@ -11,9 +11,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from .atomic import atomic_file
-from .response import FrequencyResponse
-from .table_format import (
+from ..files import atomic_file
+from ..response import FrequencyResponse
+from .format import (
     COLUMNS,
     ELEMENTS,
     METADATA_KEY,

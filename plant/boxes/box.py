@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .forked import Action, Way
-from .periodic import HOLDS, Clock, Patience, once, phase_peak, until_periodic, voltage_asked
-from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
-from .sources import series_tones
+from ..injection import series_tones
+from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
+from ..states.forks import Action, Way
+from ..states.steady_state import HOLDS, Clock, Patience, once, phase_peak, until_periodic, voltage_asked
 
 
 class Box(Protocol):

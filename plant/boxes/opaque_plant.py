@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
-from .driven import Branches
-from .forked import Way
-from .protocol import (
+from ..protocol import (
     Conditions,
     Injection,
     Job,
@@ -28,6 +26,8 @@ from .protocol import (
     Trace,
     Window,
 )
+from ..states.forks import Way
+from .box import Branches
 
 
 class Calming(PhasorPlant, MeasuredPlant, Protocol):

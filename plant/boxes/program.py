@@ -8,11 +8,11 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from .branches import Replays, Snapshots
-from .driven import Branches, DrivenPlant, Identity
-from .peer import PeerBox
-from .periodic import Clock, Patience
-from .protocol import OperatingRange, Rating
+from ..protocol import OperatingRange, Rating
+from ..states.steady_state import Clock, Patience
+from ..states.stores import Replays, Snapshots
+from .box import Branches, DrivenPlant, Identity
+from .program_frames import PeerBox
 
 
 def process_plant(

@@ -30,9 +30,9 @@ from typing import Any
 
 import numpy as np
 
-from .branches import BoxLost
-from .endings import die_with_parent, how_it_ended, last_words
-from .protocol import OperatingPoint
+from ..protocol import OperatingPoint
+from ..states.processes import die_with_parent, how_it_ended, last_words
+from ..states.stores import BoxLost
 
 VERSION = 1
 MOST_STEPS = 4096

@@ -5,7 +5,7 @@ its end; ``i`` is the current into the device (A) *at the end* of the step. The 
 a tuple, an array that is made anew, never one that is written into. Plain Python works; a function under
 ``numba.njit`` is stepped by a compiled loop that releases the interpreter lock.
 
-    from seqsweep.plant.step import plant_from_step
+    from seqsweep.plant.boxes.step_function import plant_from_step
 
     def step(i, v, dt):
         i = i + dt / 5e-3 * (v - 2.0 * i)
@@ -33,10 +33,10 @@ from typing import Any
 
 import numpy as np
 
-from .driven import Identity
-from .periodic import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
-from .protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
-from .sources import series_tones
+from ..injection import series_tones
+from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
+from ..states.steady_state import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
+from .box import Identity
 
 AGREEMENT = 1e-12
 """Mismatch of the grid's equation that is accepted, in parts of its largest terms."""

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .cigre_abi import MESSAGE, OK, CigreError, InstanceStruct, Library, Parameter, Port
-from .sealed import ControllerFault, Offer, Stretch
-from .wiring import Terminal, nearest
+from .interface import ControllerFault, Offer, Stretch
+from .signal_map import Terminal, nearest
 
 EMT, RMS = 1, 2
 

@@ -336,7 +336,7 @@ def _parameter_words(parameter: Parameter) -> str:
 
 
 def main() -> None:
-    """``python -m seqsweep.plant.cigre_abi FILE``: print `describe`, in a process that may die of it."""
+    """``python -m seqsweep.plant.controllers.cigre_abi FILE``: print `describe`, in a process that may die of it."""
     try:
         print("\n".join(describe(sys.argv[1])))
     except CigreError as error:

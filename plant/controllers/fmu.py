@@ -14,11 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .fmu_archive import sha256_of
-from .fmu_instance import Instance, Model, unpacked
-from .fmu_variables import Contents, FmuError, Setting, contents_of, find_settable, is_settable, laid_out, setting
-from .sealed import Offer
-from .wiring import Terminal
+from ..fmu.archive import sha256_of
+from ..fmu.instance import Instance, Model, unpacked
+from ..fmu.variables import Contents, FmuError, Setting, contents_of, find_settable, is_settable, laid_out, setting
+from .interface import Offer
+from .signal_map import Terminal
 
 
 class Port(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .wiring import Terminal
+from .signal_map import Terminal
 
 GUARD_BYTES = 4096
 """Before and behind everything that foreign code may write: what changes there was written out of bounds."""

@@ -15,8 +15,8 @@ from statistics import median
 
 import numpy as np
 
+from ..protocol import Compensation
 from .estimator import NO_RESONANCE, SAMPLE_S, WINDOW_S, Estimator, Resonance, matrix_pencil
-from .protocol import Compensation
 
 NOTCH_XI = 0.01
 """Damping xi of the notch; its gain G0 is one."""

@@ -14,10 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from . import damping as control
-from .damping import DampingSettings, DampingState, Measurement
+from ..protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Trace
+from . import control
+from .control import DampingSettings, DampingState, Measurement
 from .estimator import SAMPLE_S, Resonance, block_means, matrix_pencil
-from .protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Trace
 
 FaultKind = Literal["a-b-c", "a-g", "b-c", "b-c-g"]
 

@@ -31,11 +31,15 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from .branches import Replays, Snapshots
-from .driven import Branches, DrivenPlant, Identity
-from .fmu_archive import sha256_of
-from .fmu_instance import Instance, Model, unpacked, warm
-from .fmu_variables import (
+from ..boxes.box import Branches, DrivenPlant, Identity
+from ..protocol import OperatingPoint, OperatingRange, Rating, SourceDirection
+from ..space_vectors import abc_of, vector_of
+from ..states.forks import Forks
+from ..states.steady_state import Clock, Patience
+from ..states.stores import Replays, Snapshots
+from .archive import sha256_of
+from .instance import Instance, Model, unpacked, warm
+from .variables import (
     Contents,
     FmuError,
     Setting,
@@ -46,10 +50,6 @@ from .fmu_variables import (
     setting,
     width_of,
 )
-from .forked import Forks
-from .periodic import Clock, Patience
-from .protocol import OperatingPoint, OperatingRange, Rating, SourceDirection
-from .threephase import abc_of, vector_of
 
 
 class Terminals(NamedTuple):
@@ -93,7 +93,7 @@ class FmuBox:
 
     def _through(self, u: np.ndarray) -> np.ndarray:
         """Outputs (n, n_out) after n steps under inputs (n, n_in)."""
-        from .kernels import fmi
+        from ..kernels import fmi
 
         u, y = np.ascontiguousarray(u, float), np.empty((len(u), self._terminals.n_currents))
         instance = self._instance

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .branches import BoxLost
-from .fmu_archive import unpack
-from .fmu_variables import Contents, Group, Setting, laid_out, n_bytes
-from .fmu_versions import VERSIONS
-from .sealed import Stretch
+from ..controllers.interface import Stretch
+from ..states.stores import BoxLost
+from .archive import unpack
+from .variables import Contents, Group, Setting, laid_out, n_bytes
+from .versions import VERSIONS
 
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 _FATAL = 4
@@ -121,7 +121,7 @@ class Instance:
     """
 
     def __init__(self, model: Model):
-        from .kernels import fmi
+        from ..kernels import fmi
 
         self._model, self._version = model, VERSIONS[model.version]
         self._slave: Any = None
@@ -147,7 +147,7 @@ class Instance:
         FmuFault
             If a call is not answered by ok or a warning.
         """
-        from .kernels import fmi
+        from ..kernels import fmi
 
         try:
             slave = self._slave = self._slave or self._loaded()
@@ -174,7 +174,7 @@ class Instance:
 
     def failure(self) -> FmuFault:
         """Why the last step ended early."""
-        from .kernels import fmi
+        from ..kernels import fmi
 
         where, status = int(self._block[fmi.WHERE]), int(self._block[fmi.STATUS])
         when = f"at {self.time[0]:.6g} s{self._last_message()}"
@@ -198,7 +198,7 @@ class Instance:
 
     def _loaded(self) -> Any:
         """The FMU in this process, and in the block the numbers that a step reads: `kernels.fmi`."""
-        from .kernels import fmi
+        from ..kernels import fmi
 
         model, block = self._model, self._block
         slave = self._version.load(model.folder, model.guid, model.identifier)
@@ -227,7 +227,7 @@ class Instance:
 
 def warm() -> None:
     """Have the kernels ready before anything is forked."""
-    from .kernels import fmi
+    from ..kernels import fmi
 
     nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
     address, none = np.int64(ctypes.cast(nothing, ctypes.c_void_p).value or 0), np.zeros(0)

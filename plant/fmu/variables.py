@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .fmu_archive import description_of
-from .fmu_versions import VERSIONS, Version
+from .archive import description_of
+from .versions import VERSIONS, Version
 
 _TEXT = {"String"}
 _TRUTH = {"Boolean"}

@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .dpmsg_parameters import TurbineParameters
-from .protocol import Source
+from ..protocol import Source
+from ..turbine.parameters import TurbineParameters
 
 if TYPE_CHECKING:
-    from .kernels.grey import Network, Skew
+    from ..kernels.grey import Network, Skew
 
 
 def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0) -> Network:
@@ -35,7 +35,7 @@ def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0)
 
     ``g_s`` is a conductance at the PCC (S); only behind a grid.
     """
-    from .kernels.grey import Network
+    from ..kernels.grey import Network
 
     a, converter, _ = _dynamics(p, source, g_s)
     moved = _over_a_step(a, converter, 0.0, dt_s).real
@@ -66,7 +66,7 @@ def faulted(
     fault_s : (3,) float
         Conductance (S): alpha-alpha, alpha-beta, beta-beta.
     """
-    from .kernels.grey import Skew
+    from ..kernels.grey import Skew
 
     aa, ab, bb = fault_s
     mean, half = 0.5 * (aa + bb), hypot(0.5 * (aa - bb), ab)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from . import grey_circuit as circuit
-from .damping import NOTCH_XI
-from .dpmsg_parameters import TurbineParameters
-from .protocol import Compensation, Source
-from .wiring import Map
+from ..controllers.signal_map import Map
+from ..damping.control import NOTCH_XI
+from ..protocol import Compensation, Source
+from ..turbine.parameters import TurbineParameters
+from . import circuit
 
 
 @lru_cache(maxsize=64)
@@ -38,7 +38,7 @@ def cached_fault(
 
 def port_of(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
     """The compensation as the kernel takes it: the notch by the bilinear rule, exact at its centre."""
-    from .kernels.grey import Port
+    from ..kernels.grey import Port
 
     centre = tan(0.5 * w1_rad_s * dt_s)
     share = 1.0 / (1.0 + 2.0 * NOTCH_XI * centre + centre**2)
@@ -53,14 +53,14 @@ def port_of(block: Compensation, w1_rad_s: float, dt_s: float) -> Any:
 
 def cells_of(memory: np.ndarray) -> Any:
     """A stretch of memory, seen as each type."""
-    from .kernels.grey import CELL_TYPES, Cells
+    from ..kernels.grey import CELL_TYPES, Cells
 
     return Cells(*(memory.view(kind) for kind in CELL_TYPES))
 
 
 def wiring_of(signals: Map) -> Any:
     """The signal map as the kernel takes it."""
-    from .kernels import grey as kernel
+    from ..kernels import grey as kernel
 
     kinds = {name: kind for kind, name in enumerate(kernel.CELL_TYPES)}
     inputs, outputs = signals.inputs, signals.outputs
@@ -78,7 +78,7 @@ def wiring_of(signals: Map) -> Any:
 
 def warm_up() -> None:
     """Compile or load the kernels, by a controller that does nothing."""
-    from .kernels import grey as kernel
+    from ..kernels import grey as kernel
 
     nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
     cells, wiring = cells_of(np.zeros(8, np.uint8)), wiring_of(Map((), (), False))

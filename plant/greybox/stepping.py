@@ -15,12 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import dpmsg_equilibrium as stationary
-from . import grey_circuit as circuit
-from .dpmsg_parameters import TurbineParameters
-from .grey_arguments import cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
-from .periodic import Clock, Patience, until_periodic, voltage_asked
-from .protocol import (
+from ..controllers.interface import ControllerFault, Sealed
+from ..controllers.signal_map import wire
+from ..injection import series_tones, turns
+from ..protocol import (
     Compensation,
     Conditions,
     Job,
@@ -34,9 +32,11 @@ from .protocol import (
     Trace,
     Window,
 )
-from .sealed import ControllerFault, Sealed
-from .sources import series_tones, turns
-from .wiring import wire
+from ..states.steady_state import Clock, Patience, until_periodic, voltage_asked
+from ..turbine import equilibrium as stationary
+from ..turbine.parameters import TurbineParameters
+from . import circuit
+from .kernel_arguments import cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak."""
@@ -306,7 +306,7 @@ class SampledTurbine:
 
     def _begun(self, state: GreyState, command: complex) -> Any:
         """What the controller remembers, begun anew in ``state`` with the outputs that make ``command``."""
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         self.controller = controller = self.controller.renewed()
         network, store, quantities = self._surroundings(state)
@@ -365,7 +365,7 @@ class SampledTurbine:
         ``rotor_rad_s`` is NaN: no rotor moves here. What a controller synchronises by is its own secret, so
         ``sync_rad`` is the angle of v_pcc, smoothed by `SIGHT_S`, counted for as long as one trace follows another.
         """
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         start = self._surrounded(state, conditions)
         block = self.compensation if conditions.compensation is None else conditions.compensation
@@ -416,14 +416,14 @@ class SampledTurbine:
         return Sight(ratio, cmath.phase(ratio))
 
     def _run_one(self, job: Job, n_steps: int) -> tuple[GreyState, Record]:
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         v, i = np.full(n_steps, np.nan, complex), np.full(n_steps, np.nan, complex)
         end = self._advance(job, n_steps, kernel.advance_recording, v, i)
         return end, Record(job.state.time_s, self.dt_s, v, -i, self.f1_hz, "load", self.id)
 
     def _listen_one(self, job: Job, window: Window, block_steps: int, n_blocks: int) -> tuple[GreyState, Phasors]:
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         lines_hz, first_s = (window.f_hz, 2.0 * self.f1_hz - window.f_hz), job.state.step * self.dt_s
         steps_per_window = window.n_blocks * block_steps
@@ -446,7 +446,7 @@ class SampledTurbine:
 
     def _advance(self, job: Job, n_steps: int, kernel_of: Any, *listening: Any) -> GreyState:
         """Put everything back to the job's state, go on, and keep where it ended."""
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         state, controller = job.state, self.controller
         controller.restore(state.memory)
@@ -468,7 +468,7 @@ class SampledTurbine:
 
     def _box(self) -> Any:
         """The controller as the kernel takes it."""
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         controller = self.controller
         inputs, outputs = cells_of(controller.inputs.cells), cells_of(controller.outputs.cells)
@@ -482,7 +482,7 @@ class SampledTurbine:
 
     def _surroundings(self, state: GreyState) -> tuple[Any, Any, np.ndarray]:
         """Network, DC link and references, as the kernel takes them."""
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         quantities = np.zeros(kernel.N_QUANTITIES)
         quantities[kernel.P_REF], quantities[kernel.V_REF], quantities[kernel.ONE] = state.power_w, state.voltage_v, 1.0
@@ -491,7 +491,7 @@ class SampledTurbine:
 
     def _tones(self, job: Job) -> Any:
         """The source as the kernel takes it, the fundamental first."""
-        from .kernels import grey as kernel
+        from ..kernels import grey as kernel
 
         state, source = job.state, job.state.source
         tones = [

@@ -21,15 +21,23 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from .branched import Branched, BranchedState, Calm, Forwards, Listen, Rest, Run, Settle, Watch, is_whole, watch
-from .branches import Replays, SnapshotBox, Snapshots
-from .damping import checked_compensation
-from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
-from .forked import BoxDied, Forks
-from .grey_arguments import warm_up
-from .grey_core import SampledTurbine
-from .periodic import Patience
-from .protocol import (
+from ..boxes.opaque_plant import (
+    Branched,
+    BranchedState,
+    Calm,
+    Forwards,
+    Listen,
+    Rest,
+    Run,
+    Settle,
+    Watch,
+    is_whole,
+    watch,
+)
+from ..controllers.interface import ControllerFault, Offer
+from ..controllers.signal_map import nearest
+from ..damping.control import checked_compensation
+from ..protocol import (
     Conditions,
     Injection,
     Job,
@@ -42,8 +50,12 @@ from .protocol import (
     Trace,
     Window,
 )
-from .sealed import ControllerFault, Offer
-from .wiring import nearest
+from ..states.forks import BoxDied, Forks
+from ..states.steady_state import Patience
+from ..states.stores import Replays, SnapshotBox, Snapshots
+from ..turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
+from .kernel_arguments import warm_up
+from .stepping import SampledTurbine
 
 CIRCUIT = ("u_rated_v", "s_rated_va", "w1_rad_s", "l_c_h", "r_f_ohm", "c_f_f", "c_dc_f", "v_dc_ref_v")
 """Fields of `TurbineParameters` that belong to the circuit; ``v_dc_ref_v`` is where the DC link starts."""
@@ -316,10 +328,10 @@ def _offer(
             f"sample_time_s is {sample_time_s!r}; needed: a number above 0 and up to {LONGEST_SAMPLE_S:g}, in s"
         )
     if kind == "cigre":
-        from . import cigre
+        from ..controllers import cigre
 
         return cigre.offer(Path(rest), settings, sample_time_s)
-    from . import fmu_controller
+    from ..controllers import fmu as fmu_controller
 
     by_snapshot = snapshot in ("auto", "states")
     return fmu_controller.offer(Path(rest), settings, sample_time_s, outputs, by_snapshot, validate)

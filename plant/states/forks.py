@@ -29,7 +29,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from .endings import adopt_orphans, die_with_parent, how_it_ended
+from .processes import adopt_orphans, die_with_parent, how_it_ended
 
 T = TypeVar("T")
 

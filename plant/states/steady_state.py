@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from .protocol import NotSettled, OperatingPoint, OperatingRange, Rating, Source
-from .sources import check_source
+from ..injection import check_source
+from ..protocol import NotSettled, OperatingPoint, OperatingRange, Rating, Source
 
 K = TypeVar("K")
 V = TypeVar("V")

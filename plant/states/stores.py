@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from .forked import BRANCHED_FROM, Action, Way
+from .forks import BRANCHED_FROM, Action, Way
 
 SNAPSHOTS_KEPT = 128
 """One for each shot of the largest batch, and some to spare."""

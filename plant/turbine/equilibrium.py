@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import pi, sqrt
 from typing import NamedTuple
 
-from .dpmsg_parameters import TurbineParameters
+from .parameters import TurbineParameters
 
 
 class MachineEquilibrium(NamedTuple):

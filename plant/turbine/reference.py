@@ -15,10 +15,9 @@ from math import ceil, pi, sqrt
 
 import numpy as np
 
-from . import dpmsg_equilibrium as stationary
-from .damping import DAMPING_RANGES, NOTCH_XI, checked_compensation
-from .dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
-from .protocol import (
+from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
+from ..injection import check_source, series_tones, turns
+from ..protocol import (
     Compensation,
     Conditions,
     Injection,
@@ -33,8 +32,9 @@ from .protocol import (
     Trace,
     Window,
 )
-from .sources import check_source, series_tones, turns
-from .waveform import common_period, waveform
+from . import equilibrium as stationary
+from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
+from .tone_table import common_period, waveform
 
 _PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
@@ -176,7 +176,7 @@ class ReferenceTurbine:
         the equations say. With an ideal source the shunt (1e5 rad/s) and the unused line are left out,
         without compensation its notch.
         """
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         n_steps = 10
         kept = [*range(kernel.V_C_RE if state.source.kind == "ideal" else kernel.NOTCH)]
@@ -253,11 +253,11 @@ class ReferenceTurbine:
 
     def _kernel(self, source_kind: str, table: np.ndarray) -> Callable[..., None]:
         """The kernel for a source, told its table; only that one is compiled or loaded."""
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         ideal = source_kind == "ideal"
         if self.integrator == "emt":
-            from .kernels import turbine_emt
+            from ..kernels import turbine_emt
 
             return turbine_emt.advance_ideal if ideal else turbine_emt.advance_thevenin
         if self._compensated:
@@ -266,7 +266,7 @@ class ReferenceTurbine:
 
     def _source_table(self, jobs: list[Job]) -> np.ndarray:
         """The jobs' sources over a period as the kernel's table, (n, 4, LANES); of no rows where tones are cheaper."""
-        from .kernels.turbine import LANES
+        from ..kernels.turbine import LANES
 
         rows_per_s = 2.0 / self.dt_s
         in_frame = [
@@ -291,7 +291,7 @@ class ReferenceTurbine:
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         results: list[tuple[TurbineState, Record]] = [None] * len(jobs)  # type: ignore[list-item]
         for lanes, members, advance, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
@@ -306,7 +306,7 @@ class ReferenceTurbine:
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
     ) -> list[tuple[TurbineState, Phasors]]:
         """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         results: list[tuple[TurbineState, Phasors]] = [None] * len(jobs)  # type: ignore[list-item]
         for lanes, members, advance, n_tones in self._batches(jobs, windows, block_steps):
@@ -329,7 +329,7 @@ class ReferenceTurbine:
         -----
         A bolted fault leaves the shunt its own time constant Rf Cf (10 us): steps are cut to that.
         """
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         if state.source.kind != "thevenin":
             raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
@@ -356,7 +356,7 @@ class ReferenceTurbine:
 
     def _set_port(self, lane: np.ndarray, state: TurbineState, conditions: Conditions) -> None:
         """Compensation and fault into one lane's column."""
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         compensation = self.compensation if conditions.compensation is None else conditions.compensation
         lane[kernel.COMP_R], lane[kernel.COMP_X] = compensation
@@ -368,7 +368,7 @@ class ReferenceTurbine:
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
     ) -> Iterator[tuple[np.ndarray, list[int], Callable[..., None], int]]:
         """Flat arrays of up to LANES jobs of one source kind: (array, job indices, kernel, tones)."""
-        from .kernels.turbine import LANES
+        from ..kernels.turbine import LANES
 
         for kind in ("ideal", "thevenin"):
             of_kind = [m for m, job in enumerate(jobs) if job.state.source.kind == kind]
@@ -381,7 +381,7 @@ class ReferenceTurbine:
                 yield slots.ravel(), members, self._kernel(kind, table), n_tones
 
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         x = np.zeros((kernel.array_slots(n_tones), kernel.LANES))
         for lane, (job, window) in enumerate(zip(jobs, windows, strict=True)):
@@ -391,7 +391,7 @@ class ReferenceTurbine:
 
     def _lane(self, job: Job, window: Window, block_steps: int, n_tones: int) -> np.ndarray:
         """One lane's column of the flat array."""
-        from .kernels import turbine as kernel
+        from ..kernels import turbine as kernel
 
         state, source = job.state, job.state.source
         x = np.zeros(kernel.array_slots(n_tones))
@@ -426,7 +426,7 @@ class ReferenceTurbine:
         return 1.0 / (1.0 + 2j * pi * f_hz * p.r_f_ohm * p.c_f_f)
 
     def _ends(self, lanes: np.ndarray, jobs: list[Job], n_steps: int) -> list[TurbineState]:
-        from .kernels.turbine import LANES, N_STATES
+        from ..kernels.turbine import LANES, N_STATES
 
         values = lanes.reshape(-1, LANES)[:N_STATES].T.copy()
         return [

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from .sources import turns
+from ..injection import turns
 
 Spectrum = Sequence[tuple[float, complex]]
 """Tones by their signed frequency (Hz) and their phasor at time zero."""

@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..plant.check import Finding, check_plant
-from ..plant.registry import PlantSpec, refuse_unknown_id, runs_isolated
-from .child import ChildFailed, child
+from ...plant.check import Finding, check_plant
+from ...plant.registry import PlantSpec, refuse_unknown_id, runs_isolated
+from ..run.child import ChildFailed, child
 
 CHECK_S = 600.0
 """Wall time (s) that driving a plant through all its promises may take."""
@@ -65,7 +65,7 @@ def findings_of(plant_id: str, parameters: Mapping[str, Any] | None = None) -> S
 
 def findings_of_campaign(path: Path) -> Sequence[Finding]:
     """`findings_of` the plant of a campaign, with its parameters."""
-    from .config import load_config
+    from ..config.sections import load_config
 
     section = load_config(path).plant
     return findings_of(section.id, section.parameters)
@@ -111,7 +111,7 @@ def inspect(path: Path) -> str:
 
 def _introduction(path: Path) -> str:
     """What a real-code controller says of itself, asked in a process of its own: it is loaded, but not stepped."""
-    command = [sys.executable, "-m", "seqsweep.plant.cigre_abi", str(path)]
+    command = [sys.executable, "-m", "seqsweep.plant.controllers.cigre_abi", str(path)]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=INTRODUCTION_S)
     except subprocess.TimeoutExpired:
@@ -126,8 +126,8 @@ def _introduction(path: Path) -> str:
 
 
 def _fmu(path: Path) -> Iterator[str]:
-    from ..plant.fmu_archive import complaint_of, description_of, look_through, sha256_of
-    from ..plant.fmu_variables import tool_of
+    from ...plant.fmu.archive import complaint_of, description_of, look_through, sha256_of
+    from ...plant.fmu.variables import tool_of
 
     members, complaint = look_through(path), complaint_of(path)
     content = description_of(path, validate=False)
@@ -169,8 +169,8 @@ def _variable(variable: Any) -> str:
 
 
 def _library(path: Path) -> Iterator[str]:
-    from ..plant.fmu_archive import sha256_of
-    from ..plant.shared_object import read_shared_object
+    from ...plant.controllers.shared_object import read_shared_object
+    from ...plant.fmu.archive import sha256_of
 
     content = read_shared_object(path)
     yield f"{path}: {content.kind} for {content.machine}, this machine is {platform.machine()}"

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_shared import (
+from .shared import (
     NOT_ALL_OK,
     CampaignFile,
     Force,
@@ -33,16 +33,16 @@ def tune(
     force: Force = False,
 ) -> None:
     """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
-    from ..identify.table import read_table
-    from ..tuning.result import format_table, write_json
-    from ..tuning.siso import parse_grid
-    from ..tuning.tune import tune as judge
+    from ...identify.table.read import read_table
+    from ...tuning.result import format_table, write_json
+    from ...tuning.siso import parse_grid
+    from ...tuning.tune import tune as judge
 
     check_outputs(output, force, plot)
     content = read_table(table)
     result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
     if confirm:
-        from .confirm import confirm as confirm_gain
+        from ..confirm import confirm as confirm_gain
 
         result = confirm_gain(
             result, content.meta["configuration"], jobs=jobs, report=lambda text: typer.echo(text, err=True)
@@ -51,7 +51,7 @@ def tune(
     if output is not None:
         write_json(result, output)
     if plot is not None:
-        from ..tuning.plot import plot_result
+        from ...tuning.figures import plot_result
 
         plot_result(result, plot, result.worst.op_id)
 
@@ -70,7 +70,7 @@ def verify(
     force: Force = False,
 ) -> None:
     """The same device in time, with and without damping control."""
-    from .verify_job import VerifyJob, verified
+    from ..verify.runs import VerifyJob, verified
 
     check_outputs(output, force, plot)
     width = shutil.get_terminal_size((100, 24)).columns
@@ -89,8 +89,8 @@ def grid(
     settings: Settings = None,
 ) -> None:
     """R + jX of the grid behind the PCC, identified while the plant runs on it."""
-    from ..plant.registry import PlantCard
-    from .grid_probe import format_report, make_probe, probe_grids, probe_in_a_child, to_json, write_json
+    from ...plant.registry import PlantCard
+    from ..grid_probe.probe import format_report, make_probe, probe_grids, probe_in_a_child, to_json, write_json
 
     check_outputs(output, force, plot)
     planned, plant = planned_of(campaign, settings)
@@ -103,7 +103,7 @@ def grid(
     if output is not None:
         write_json(to_json(seen, probe, planned), output)
     if plot is not None and any(each.found for each in seen):
-        from .grid_plot import plot as draw
+        from ..grid_probe.figure import plot as draw
 
         draw(seen, plot)
     if any(each.reason for each in seen):

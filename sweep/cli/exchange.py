@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..identify.exchange import ExchangeError, Facts, Found
-from ..identify.exchange_table import outgoing, to_table
-from ..identify.response import Frame
-from ..identify.table import read_table
-from ..identify.table_write import write_table
+from ...identify.exchange.convert import outgoing, to_table
+from ...identify.exchange.facts import ExchangeError, Facts, Found
+from ...identify.response import Frame
+from ...identify.table.read import read_table
+from ...identify.table.write import write_table
 
 SUFFIXES = {
     **{".csv": "csv", ".tsv": "csv", ".txt": "csv"},
@@ -44,17 +44,17 @@ def export_table(
     responses = content.responses if op_id is None else (content.response(op_id),)
     out = outgoing(responses, content.meta, frame)
     if kind == "csv":
-        from ..identify.exchange_csv import write_csv
+        from ...identify.exchange.text import write_csv
 
         write_csv(output, out)
         left_out = 0
     elif kind == "mat":
-        from ..identify.exchange_mat import write_mat
+        from ...identify.exchange.mat import write_mat
 
         write_mat(output, out)
         left_out = 0
     else:
-        from ..identify.exchange_touchstone import write_touchstone
+        from ...identify.exchange.touchstone import write_touchstone
 
         write_touchstone(output, out, z0_ohm)
         left_out = sum(int((~response.ok).sum()) for response in out.responses)
@@ -76,15 +76,15 @@ def import_file(path: Path, output: Path, kind: str, given: Facts) -> str:
 def read_file(path: Path, kind: str, given: Mapping[str, Any]) -> Found:
     """What a file of one of `FORMATS` holds."""
     if kind == "csv":
-        from ..identify.exchange_csv import read_csv
+        from ...identify.exchange.text import read_csv
 
         return read_csv(path, given)
     if kind == "mat":
-        from ..identify.exchange_mat import read_mat
+        from ...identify.exchange.mat import read_mat
 
         return read_mat(path, given)
     if kind == "touchstone":
-        from ..identify.exchange_touchstone import read_touchstone
+        from ...identify.exchange.touchstone import read_touchstone
 
         return read_touchstone(path, given)
     raise ExchangeError(f"format {kind!r}; known are {', '.join(FORMATS)}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_shared import (
+from .shared import (
     NOT_ALL_OK,
     CampaignFile,
     Force,
@@ -36,8 +36,8 @@ def identify(
     force: Force = False,
 ) -> None:
     """Recordings of a perturbed device in, the same table out."""
-    from .identify_run import identify as identify_recordings
-    from .identify_run import request_of
+    from ..recorded.identify import identify as identify_recordings
+    from ..recorded.identify import request_of
 
     check_new(output, force)
     request = request_of(files, manifest, channels, direction, f1, sample_rate, (rated_voltage_v, rated_power_va), op)
@@ -127,10 +127,10 @@ def inject_command(
     settings: Settings = None,
 ) -> None:
     """Write the perturbations as files, for PSCAD, RTDS, Simulink or a laboratory."""
-    from .config import load_config
-    from .inject import Timing, chosen, inject, planned
-    from .manifest_file import FILE_NAME
-    from .playback import SUFFIXES
+    from ..config.sections import load_config
+    from ..playback.inject import Timing, chosen, inject, planned
+    from ..playback.manifest import FILE_NAME
+    from ..playback.waveform_files import SUFFIXES
 
     if kind not in SUFFIXES:
         raise WrongInput(f"--format {kind!r}: known are {', '.join(SUFFIXES)}")

@@ -17,8 +17,10 @@ from typing import Annotated, Any
 
 import typer
 
-from . import cli_decide, cli_files, cli_sweep
-from .cli_shared import INTERRUPTED, MACHINE, OK, WRONG_INPUT
+from . import decide as cli_decide
+from . import files as cli_files
+from . import sweep as cli_sweep
+from .shared import INTERRUPTED, MACHINE, OK, WRONG_INPUT
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 """`ClickException`: newer versions of typer bring a click of their own, older ones import it."""

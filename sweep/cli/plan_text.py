@@ -5,12 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
-from ..plant.protocol import NotSettled, Plant
-from ..plant.registry import PlantCard
-from .child import ChildFailed
-from .estimate import wall_time_s
-from .plan import PROBE_AMPLITUDE, Plan
-from .signals import Signal
+from ...plant.protocol import NotSettled, Plant
+from ...plant.registry import PlantCard
+from ..excitation.signals import Signal
+from ..plan import PROBE_AMPLITUDE, Plan
+from ..run.child import ChildFailed
+from ..run.wall_time import wall_time_s
 
 CONDITIONS_SHOWN = 12
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ..plant.protocol import Plant
-    from ..plant.registry import PlantCard
-    from .plan import Plan
+    from ...plant.protocol import Plant
+    from ...plant.registry import PlantCard
+    from ..plan import Plan
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -31,9 +31,9 @@ class WrongInput(ValueError):
 
 
 def planned_of(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant | PlantCard]:
-    from .config import load_config
-    from .isolate import plant_or_card
-    from .plan import make_plan
+    from ..config.sections import load_config
+    from ..plan import make_plan
+    from ..run.host import plant_or_card
 
     config = load_config(campaign, settings or ())
     if config.plant.id == "external":

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_shared import (
+from .shared import (
     NOT_ALL_OK,
     WRONG_INPUT,
     CampaignFile,
@@ -35,7 +35,7 @@ def init(
     if output.exists():
         raise WrongInput(f"{output} exists; choose another name with -o")
     check_folder(output)
-    output.write_text(files("seqsweep.sweep").joinpath("campaign_template.toml").read_text("utf-8"), "utf-8")
+    output.write_text(files("seqsweep.sweep.config").joinpath("template.toml").read_text("utf-8"), "utf-8")
     typer.echo(f"{output} written; next: seqsweep run {output} -o y.parquet")
 
 
@@ -65,7 +65,7 @@ def run(
         raise WrongInput("--scheduler goes with --backend dask")
     check_new(output, force)
     planned, plant = planned_of(campaign, settings)
-    from .campaign import run as run_campaign
+    from ..run.campaign import run as run_campaign
     from .progress import progress
 
     with progress() as report:
@@ -93,7 +93,7 @@ def show(
     op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point to draw.")] = None,
 ) -> None:
     """Summarise a table, and draw its Bode plot."""
-    from .show import summary
+    from ..report.summary import summary
 
     if op is not None and plot is None:
         raise WrongInput("--op names the operating point to draw: it goes with --plot FILE")
@@ -101,7 +101,7 @@ def show(
     terminal = sys.stdout.isatty()
     typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
     if plot is not None:
-        from .plot import bode
+        from ..report.bode import bode
 
         drawn = bode(table, plot, op)
         typer.echo(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")
@@ -109,7 +109,7 @@ def show(
 
 def validate(table: TableFile) -> None:
     """Hold a table against the format; exit status 0 or 2."""
-    from ..identify.table import validate_table
+    from ...identify.table.read import validate_table
 
     violations = validate_table(table)
     for violation in violations:
@@ -123,7 +123,7 @@ def check(
     plant: Annotated[str, typer.Argument(metavar="PLANT", help="A plant's id, a CAMPAIGN.toml, or a file to read.")],
 ) -> None:
     """Hold a plant against its promise; of a file (.fmu, .so, .dll, .py) say what it is, executing nothing."""
-    from .inspection import findings_of, findings_of_campaign, inspect, is_inspected
+    from .check import findings_of, findings_of_campaign, inspect, is_inspected
 
     if is_inspected(plant):
         typer.echo(inspect(Path(plant)))

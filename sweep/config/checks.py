@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from .config import (
+from .file import Keys, shown
+from .sections import (
     MIN_ADAPTIVE_POINTS,
     CampaignSection,
     Config,
@@ -21,7 +22,6 @@ from .config import (
     SourceSection,
     SweepSection,
 )
-from .config_file import Keys, shown
 
 
 class Problem(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from .config_file import ConfigError, apply, dotted, line_numbers, line_of, parse, place_of, read
+from .file import ConfigError, apply, dotted, line_numbers, line_of, parse, place_of, read
 
 MAX_POINTS = 1_000_000
 MAX_AMPLITUDE_PU = 0.2
@@ -164,7 +164,7 @@ class Config(_Section):
         ConfigError
             With every problem; without file and line, there being none.
         """
-        from .config_checks import checked  # late: it knows the sections above
+        from .checks import checked  # late: it knows the sections above
 
         config, problems = checked(data)
         if config is None:
@@ -188,7 +188,7 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     ConfigError
         With every problem, each at its line or its override.
     """
-    from .config_checks import checked
+    from .checks import checked
 
     text = read(Path(path))
     data = parse(text, path)

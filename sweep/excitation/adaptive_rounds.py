@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.adaptive import APART_HZ, NOISE_MARGIN, Verdict, band_of, first_places
-from .grid import GENERATED_SHIFT, MAX_WINDOW_S, Block, Frequency, GridError, check_band, exact_or_nearby, nearby
+from ...identify.fit.adaptive import APART_HZ, NOISE_MARGIN, Verdict, band_of, first_places
+from .frequencies import GENERATED_SHIFT, MAX_WINDOW_S, Block, Frequency, GridError, check_band, exact_or_nearby, nearby
 
 PLACE_SHIFT = 0.03
 """Largest move of a wanted place to where the window is shorter, relative to |f - f1|."""

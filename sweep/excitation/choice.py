@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .config import PERIOD_S
-from .grid import LISTED_SHIFT, Frequency
-from .lines import SignalError, odd_lines
+from ..config.sections import PERIOD_S
+from .frequencies import LISTED_SHIFT, Frequency
+from .odd_lines import SignalError, odd_lines
 from .signals import Signal, chirp, coherent_blocks, multisine, prbs, qrb, register_order, residue_length
 
 if TYPE_CHECKING:
-    from .config import InjectionSection, SweepSection
+    from ..config.sections import InjectionSection, SweepSection
 
 MIN_PER_LINE = 1e-7
 """Smallest amplitude of a line (pu): below, what rounding leaves of the steady state is heard as well."""

@@ -19,11 +19,11 @@ from typing import Literal
 
 import numpy as np
 
-from ..plant.protocol import Tone
-from .crest import low_crest_phases, samples
-from .grid import coherent_block
-from .lines import SignalError
-from .sequences import inverse_repeat, maximum_length, next_residue_length, quadratic_residue
+from ...plant.protocol import Tone
+from .binary_sequences import inverse_repeat, maximum_length, next_residue_length, quadratic_residue
+from .crest_factor import low_crest_phases, samples
+from .frequencies import coherent_block
+from .odd_lines import SignalError
 
 Kind = Literal["multisine", "prbs", "qrb", "chirp"]
 Axis = Literal["d", "q"]

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
-from ..identify.grid_impedance import GridImpedance
-from .grid_probe import GridSeen
-from .plot import _RC, _WITHOUT_TIME
+from ...identify.files import atomic_file
+from ...identify.grid_impedance import GridImpedance
+from ..report.bode import _RC, _WITHOUT_TIME
+from .probe import GridSeen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
-from ..identify.grid_impedance import GridImpedance, identify_grid
-from ..plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
-from ..plant.registry import PlantCard
-from .child import ChildFailed, child, reason_of
-from .config import MAX_AMPLITUDE_PU
-from .grid import coherent_block
-from .isolate import DEFAULT_TIMEOUT_S
-from .lines import SignalError
-from .loadflow import reached
-from .plan import Condition, Plan
-from .signals import Signal, multisine, qrb, residue_length, tones
+from ...identify.files import atomic_file
+from ...identify.grid_impedance import GridImpedance, identify_grid
+from ...plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
+from ...plant.registry import PlantCard
+from ..config.sections import MAX_AMPLITUDE_PU
+from ..excitation.frequencies import coherent_block
+from ..excitation.odd_lines import SignalError
+from ..excitation.signals import Signal, multisine, qrb, residue_length, tones
+from ..measure.loadflow import reached
+from ..plan import Condition, Plan
+from ..run.child import ChildFailed, child, reason_of
+from ..run.host import DEFAULT_TIMEOUT_S
 
 FORMAT, VERSION = "seqsweep-grid", "1.0.0"
-SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-grid-1.schema.json"
+SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-grid-1.schema.json"
 
 BAND_HZ = (10.0, 150.0)
 """Band of nu: what the PCC hears is from -100 to 40 and from 60 to 200 Hz where f1 is 50 Hz."""

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.fourier import harmonics, line, taper
-from ..identify.quality import SETTLED_LIMIT, period_change, trend
-from ..plant.protocol import Job, Plant, Record
-from .grid import Block
+from ...identify.fourier import harmonics, line, taper
+from ...identify.settling import SETTLED_LIMIT, period_change, trend
+from ...plant.protocol import Job, Plant, Record
+from ..excitation.frequencies import Block
+from ..plan import Batch, Plan
 from .loadflow import reached
-from .plan import Batch, Plan
 
 QUIET_BLOCKS = 2
 """Blocks of a quiet baseline: one to keep, one to compare it with."""

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fourier import rotation
-from ..identify.quality import NOISY_WINDOWS, Settled, first_agreement, steady_mean
-from ..identify.transient import transients
-from ..plant.protocol import Job, Plant, Record
+from ...identify.fourier import rotation
+from ...identify.settling import NOISY_WINDOWS, Settled, first_agreement, steady_mean
+from ...identify.transient_modes import transients
+from ...plant.protocol import Job, Plant, Record
+from ..excitation.frequencies import Frequency
+from ..excitation.odd_lines import detection_lines
+from ..plan import SETTLE_S, Batch, Plan
 from .baseline import Baseline, run
-from .grid import Frequency
-from .lines import detection_lines
-from .plan import SETTLE_S, Batch, Plan
 
 NEAR = 5
 """Detection lines whose distortion speaks for a line that is played."""

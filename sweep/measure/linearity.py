@@ -12,7 +12,7 @@ from math import isfinite
 
 import numpy as np
 
-from ..identify.table_format import unpack_covariance
+from ...identify.table.format import unpack_covariance
 from .rows import Row, with_admittance
 
 ERROR_PER_SPREAD = 4.0 / 3.0

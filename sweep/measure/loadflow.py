@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..identify.fourier import line
-from ..plant.protocol import Job, NotSettled, OperatingPoint, Plant, Source
-from .grid import coherent_block
-from .plan import Condition, Grid
+from ...identify.fourier import line
+from ...plant.protocol import Job, NotSettled, OperatingPoint, Plant, Source
+from ..excitation.frequencies import coherent_block
+from ..plan import Condition, Grid
 
 TOLERANCE = 1e-10
 """Mismatch of the source voltage accepted, relative."""

@@ -11,19 +11,19 @@ from math import isfinite, nan
 
 import numpy as np
 
-from ..identify.admittance import solve_pn
-from ..identify.fourier import periodic_window_variance
-from ..identify.quality import COND_LIMIT, Settled
-from ..identify.uncertainty import propagate, propagate_common, scatter, student_factor
-from ..plant.protocol import NotSettled, Plant
+from ...identify.admittance import solve_pn
+from ...identify.fourier import periodic_window_variance
+from ...identify.settling import COND_LIMIT, Settled
+from ...identify.uncertainty import propagate, propagate_common, scatter, student_factor
+from ...plant.protocol import NotSettled, Plant
+from ..excitation.frequencies import Frequency
+from ..plan import Batch, Plan
+from ..run.child import reason_of
 from .baseline import Baseline, Unsettled, baseline
 from .broadband import drive_broadband
-from .child import reason_of
-from .drive import drive
-from .grid import Frequency
 from .linearity import compared, covariance_of
-from .plan import Batch, Plan
 from .rows import BatchResult, Row, blank_row, failed_batch, with_admittance
+from .tones import drive
 
 DIVERGED_PU = 10.0
 """A response this many times the rated peak has left the small signal for good."""

@@ -7,9 +7,9 @@ from math import nan
 
 import numpy as np
 
-from ..identify.table_format import N_COV, pack_covariance
-from .grid import Frequency
-from .plan import Batch, Plan
+from ...identify.table.format import N_COV, pack_covariance
+from ..excitation.frequencies import Frequency
+from ..plan import Batch, Plan
 
 UNKNOWN = (nan,) * N_COV
 

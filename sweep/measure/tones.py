@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.fourier import block_phasors, periodic_window
-from ..identify.quality import NOISY_WINDOWS, Settled, first_agreement, steady_mean, windows
-from ..plant.protocol import Job, PhasorPlant, Phasors, Plant, Window
+from ...identify.fourier import block_phasors, periodic_window
+from ...identify.settling import NOISY_WINDOWS, Settled, first_agreement, steady_mean, windows
+from ...plant.protocol import Job, PhasorPlant, Phasors, Plant, Window
+from ..plan import Plan, Shot
 from .baseline import Baseline, PlantFault, run
-from .plan import Plan, Shot
 
 QUIET_WINDOWS = 2
 """Windows of a quiet shot before any two are compared."""

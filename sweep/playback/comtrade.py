@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
+from ...identify.files import atomic_file
 
 Encoding = Literal["ASCII", "BINARY", "BINARY32", "FLOAT32"]
 

@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
-from ..plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
-from ..plant.registry import PlantCard
-from .comtrade_file import Encoding
-from .config import Config
-from .isolate import plant_or_card
-from .manifest_file import AMPLITUDE_UNIT, FILE_NAME, FORMAT, Experiment, Manifest, PlayedTone
-from .plan import Condition, Plan, make_plan
-from .playback import SUFFIXES, PlaybackFormat, Waveforms, phases, write_waveforms
+from ...identify.files import atomic_file
+from ...plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
+from ...plant.registry import PlantCard
+from ..config.sections import Config
+from ..plan import Condition, Plan, make_plan
+from ..run.host import plant_or_card
+from .comtrade import Encoding
+from .manifest import AMPLITUDE_UNIT, FILE_NAME, FORMAT, Experiment, Manifest, PlayedTone
+from .waveform_files import SUFFIXES, PlaybackFormat, Waveforms, phases, write_waveforms
 
 EXTERNAL = "external"
 """The id of a device that exists elsewhere: it can be perturbed by files, not driven."""

@@ -14,12 +14,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..plant.protocol import InjectionKind
+from ...plant.protocol import InjectionKind
 
 FORMAT = "seqsweep-manifest"
 VERSION = "1.0.0"
 FILE_NAME = "manifest.json"
-SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-manifest-1.schema.json"
+SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-manifest-1.schema.json"
 AMPLITUDE_UNIT: dict[InjectionKind, str] = {"series_voltage": "V", "shunt_current": "A"}
 
 

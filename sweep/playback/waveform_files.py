@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
-from .comtrade_file import AnalogChannel, Encoding, write_comtrade
+from ...identify.files import atomic_file
+from .comtrade import AnalogChannel, Encoding, write_comtrade
 
 PlaybackFormat = Literal["csv", "comtrade", "pscad", "mat"]
 
@@ -76,6 +76,6 @@ def _pscad(file: Any, waveforms: Waveforms) -> None:
 
 def _mat(file: Any, waveforms: Waveforms) -> None:
     """Simulink's From File: one matrix, the first row time, one row per phase."""
-    from ..identify.exchange_mat import mat_bytes
+    from ...identify.exchange.mat import mat_bytes
 
     file.write(mat_bytes({"perturbation": np.vstack([waveforms.time_s, waveforms.samples.T])}))

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.pair import SLIP, Experiment, Point, broadband_points, points_of
-from ..identify.response import FrequencyResponse
-from ..identify.table_write import write_table
-from ..plant.protocol import Rating, SourceDirection
-from ..plant.recordings.channels import parse_channels
-from ..plant.recordings.read import recordings_in
-from ..plant.recordings.recording import RecordingError
-from .identify_listen import Fundamental, Listened, Task, listen
-from .identify_manifest import Told, match, read_manifest
+from ...identify.recorded.points import SLIP, Experiment, Point, broadband_points, points_of
+from ...identify.response import FrequencyResponse
+from ...identify.table.write import write_table
+from ...plant.protocol import Rating, SourceDirection
+from ...plant.recordings.channels import parse_channels
+from ...plant.recordings.read import recordings_in
+from ...plant.recordings.recording import RecordingError
+from .listen import Fundamental, Listened, Task, listen
+from .match import Told, match, read_manifest
 
 POWER_MEANING = "active power out of the device at the PCC, of the fundamental, as recorded"
 

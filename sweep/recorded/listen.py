@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.detect import find_tones
-from ..identify.hear import HearingError, fundamental, hear
-from ..identify.local import Local, local_polynomials
-from ..identify.pair import NOISY, Experiment
-from ..plant.protocol import SourceDirection
-from ..plant.recordings.recording import RecordingError
-from ..plant.recordings.waveforms import Waveforms, defects, open_waveforms
-from .manifest_file import Experiment as Played
-from .manifest_file import PlayedTone
+from ...identify.recorded.detect import find_tones
+from ...identify.recorded.local_polynomial import Local, local_polynomials
+from ...identify.recorded.points import NOISY, Experiment
+from ...identify.recorded.tones import HearingError, fundamental, hear
+from ...plant.protocol import SourceDirection
+from ...plant.recordings.recording import RecordingError
+from ...plant.recordings.waveforms import Waveforms, defects, open_waveforms
+from ..playback.manifest import Experiment as Played
+from ..playback.manifest import PlayedTone
 
 F1_LIE = 2e-4
 """Relative difference of the file's own f1 and the data's that is worth a word."""

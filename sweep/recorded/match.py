@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..plant.protocol import Rating, SourceDirection
-from .manifest_file import FILE_NAME, FORMAT, Experiment, PlayedTone, manifest_violations
+from ...plant.protocol import Rating, SourceDirection
+from ..playback.manifest import FILE_NAME, FORMAT, Experiment, PlayedTone, manifest_violations
 
 LIMIT_BYTES = 64 << 20
 

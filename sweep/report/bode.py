@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
-from ..identify.response import FrequencyResponse
-from ..identify.table import iter_responses, read_metadata
-from ..identify.table_format import TableError, std_of
+from ...identify.files import atomic_file
+from ...identify.response import FrequencyResponse
+from ...identify.table.format import TableError, std_of
+from ...identify.table.read import iter_responses, read_metadata
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..identify.response import STATUSES, FrequencyResponse
-from ..identify.table import iter_responses, read_metadata
-from ..identify.uncertainty import relative_uncertainty
-from .rounds import certificate_text
+from ...identify.response import STATUSES, FrequencyResponse
+from ...identify.table.read import iter_responses, read_metadata
+from ...identify.uncertainty import relative_uncertainty
+from ..excitation.adaptive_rounds import certificate_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -16,22 +16,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identify.adaptive import Decision, decide
-from ..identify.response import FrequencyResponse
-from ..identify.table_format import QUALITY, unpack_covariance
-from ..identify.table_write import write_table
-from ..plant.endings import die_with_parent
-from ..plant.protocol import Plant
-from ..plant.registry import PlantCard, releases_gil
+from ...identify.fit.adaptive import Decision, decide
+from ...identify.response import FrequencyResponse
+from ...identify.table.format import QUALITY, unpack_covariance
+from ...identify.table.write import write_table
+from ...plant.protocol import Plant
+from ...plant.registry import PlantCard, releases_gil
+from ...plant.states.processes import die_with_parent
+from ..excitation.adaptive_rounds import certificate, certificate_text, next_round
+from ..excitation.frequencies import Frequency
+from ..measure.linearity import judged
+from ..measure.measure import measure
+from ..measure.rows import BatchResult, Row
+from ..plan import Batch, Condition, Plan
 from . import shards
-from .amplitude import chosen, parts, pilots
-from .grid import Frequency
-from .isolate import children
-from .linearity import judged
-from .measure import measure
-from .plan import Batch, Condition, Plan
-from .rounds import certificate, certificate_text, next_round
-from .rows import BatchResult, Row
+from .host import children
+from .pilots import chosen, parts, pilots
 
 Report = Callable[[int, int, float], None]
 """Called with (points done, points in all, share of the work done) whenever a batch is kept."""

@@ -20,9 +20,9 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from ..plant.endings import die_with_parent, how_it_ended
-from ..plant.protocol import Plant
-from ..plant.registry import PlantCard, PlantError, PlantSpec, card_of, in_words
+from ...plant.protocol import Plant
+from ...plant.registry import PlantCard, PlantError, PlantSpec, card_of, in_words
+from ...plant.states.processes import die_with_parent, how_it_ended
 
 T = TypeVar("T")
 

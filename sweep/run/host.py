@@ -14,13 +14,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ..plant.protocol import Plant
-from ..plant.registry import PlantCard, PlantError, PlantSpec, make_plant, refuse_unknown_id, runs_isolated
+from ...plant.protocol import Plant
+from ...plant.registry import PlantCard, PlantError, PlantSpec, make_plant, refuse_unknown_id, runs_isolated
+from ..config.sections import Config
+from ..measure.measure import measure
+from ..measure.rows import BatchResult, failed_batch
+from ..plan import Batch, Plan
 from .child import Child, ChildFailed, child, scratch
-from .config import Config
-from .measure import measure
-from .plan import Batch, Plan
-from .rows import BatchResult, failed_batch
 
 DEFAULT_TIMEOUT_S = 60.0
 """Wall time (s) that one shot may take, where the campaign does not say."""

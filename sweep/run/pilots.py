@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .grid import Frequency
-from .linearity import covariance_of
-from .plan import Plan
-from .rows import Row
+from ..excitation.frequencies import Frequency
+from ..measure.linearity import covariance_of
+from ..measure.rows import Row
+from ..plan import Plan
 
 STEPS = 6
 RATIO = 2.5

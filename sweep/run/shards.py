@@ -17,7 +17,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import IO, Any
 
-from .rows import BatchResult, Row
+from ..measure.rows import BatchResult, Row
 
 
 class OutputInUse(OSError):

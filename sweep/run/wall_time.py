@@ -7,12 +7,12 @@ from functools import partial
 from math import ceil
 from typing import Any
 
-from ..plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
-from ..plant.registry import PlantCard
+from ...plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
+from ...plant.registry import PlantCard
+from ..measure.loadflow import reached
+from ..plan import EXPECTED_WINDOWS, Plan
 from .child import child
-from .isolate import DEFAULT_TIMEOUT_S
-from .loadflow import reached
-from .plan import EXPECTED_WINDOWS, Plan
+from .host import DEFAULT_TIMEOUT_S
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..identify.atomic import atomic_file
-from ..plant.events import Event, Fault, Trajectory
-from .plot import _RC, _WITHOUT_TIME, SUFFIXES
+from ...identify.files import atomic_file
+from ...plant.damping.events import Event, Fault, Trajectory
+from ..report.bode import _RC, _WITHOUT_TIME, SUFFIXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

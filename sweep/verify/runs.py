@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from ..identify.table import read_table
-from ..plant.protocol import Plant
-from ..plant.registry import PlantSpec, runs_isolated
-from .child import ChildFailed, child
+from ...identify.table.read import read_table
+from ...plant.protocol import Plant
+from ...plant.registry import PlantSpec, runs_isolated
+from ..run.child import ChildFailed, child
 from .scenario import read_story
 from .verify import VerifyError, cause_gone_of, format_report, read_tuning, tuned_of, verify, write_json
 
@@ -56,7 +56,7 @@ def _done(job: VerifyJob, plant: Plant | None = None) -> str:
     if job.output is not None:
         write_json(result, job.output)
     if job.plot is not None:
-        from .verify_plot import plot as draw
+        from .figure import plot as draw
 
         draw(result, job.plot)
     return format_report(result, job.width)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..plant.events import Event, Fault, GridStep, PowerStep, TurbineStep, WindStep
+from ...plant.damping.events import Event, Fault, GridStep, PowerStep, TurbineStep, WindStep
 
 DURATION_S = 1.2
 STEP_S = 0.1

@@ -16,21 +16,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plant.damping import DampingSettings
-from ..plant.estimator import SAMPLE_S, WINDOW_S
-from ..plant.events import Event, Fault, Scenario, Trajectory, conditions_at, simulate
-from ..plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
-from ..plant.registry import in_words, make_plant
-from ..tuning.siso import Grid
+from ...plant.damping.control import DampingSettings
+from ...plant.damping.estimator import SAMPLE_S, WINDOW_S
+from ...plant.damping.events import Event, Fault, Scenario, Trajectory, conditions_at, simulate
+from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
+from ...plant.registry import in_words, make_plant
+from ...tuning.siso import Grid
 from .scenario import Story
 
 if TYPE_CHECKING:
-    from ..identify.response import FrequencyResponse
+    from ...identify.response import FrequencyResponse
 
 FORMAT = "seqsweep-verification"
 VERSION = "1.0.0"
 
-SCHEMA_FILE = Path(__file__).parent / "schema" / "seqsweep-verification-1.schema.json"
+SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-verification-1.schema.json"
 """JSON schema of what `verify` writes."""
 
 _FAINT = 2e-3
@@ -138,7 +138,7 @@ def read_tuning(path: str | Path) -> dict[str, Any]:
     """
     from jsonschema import ValidationError, validate
 
-    from ..tuning.result import schema
+    from ...tuning.result import schema
 
     try:
         content = json.loads(Path(path).read_text("utf-8"))
@@ -160,7 +160,7 @@ def tuned_of(content: Mapping[str, Any], op_id: str | None = None) -> Tuned:
     VerifyError
         If there is no such operating point, no campaign, no gain, or the device has no measurement port.
     """
-    from .config import Config
+    from ..config.sections import Config
 
     point = _point(content, op_id or content["worst"])
     configuration = content["provenance"]["table"].get("configuration", {})
@@ -212,8 +212,8 @@ def settings_of(tuned: Tuned) -> DampingSettings:
 
 def cause_gone_of(response: FrequencyResponse) -> CauseGone:
     """The check by which damping control stops: the winding number of the swept device on the grid of the moment."""
-    from ..identify.fit import fit_response
-    from ..tuning.stability import judge
+    from ...identify.fit.model import fit_response
+    from ...tuning.stability import judge
 
     model = fit_response(response)
 
@@ -458,7 +458,7 @@ def to_json(result: Verification) -> dict[str, Any]:
 
 def write_json(result: Verification, path: str | Path) -> None:
     """Write the verification as JSON, atomically."""
-    from ..identify.atomic import atomic_file
+    from ...identify.files import atomic_file
 
     text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
     with atomic_file(path) as file:

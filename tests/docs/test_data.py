@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.sweep.manifest_file import manifest_violations
+from seqsweep.sweep.playback.manifest import manifest_violations
 
-DATA = Path(__file__).parents[1] / "data"
+DATA = Path(__file__).parents[2] / "data"
 NAMES = ("va", "vb", "vc", "ia", "ib", "ic")
 BOTH = ("direct", "mirror")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from seqsweep.sweep.cli import app
+from seqsweep.sweep.cli.main import app
 
-TOP = Path(__file__).parents[1]
+TOP = Path(__file__).parents[2]
 PAGES = [*TOP.glob("*.md"), TOP / "data" / "README.md", *sorted((TOP / "docs").glob("*.md"))]
 COMMANDS = {
     name: {option for parameter in command.params for option in parameter.opts}

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table_write import write_table
-from seqsweep.sweep.manifest_file import manifest_violations
+from seqsweep.identify.table.write import write_table
+from seqsweep.sweep.playback.manifest import manifest_violations
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 F_HZ = np.array([10.0, 23.0, 77.0, 300.0])
 
 
@@ -69,8 +69,8 @@ def test_the_manifest_of_the_page_conforms() -> None:
 
 
 def test_the_campaign_of_the_page_names_a_device_elsewhere() -> None:
-    from seqsweep.sweep.config import Config
-    from seqsweep.sweep.inject import Timing, planned
+    from seqsweep.sweep.config.sections import Config
+    from seqsweep.sweep.playback.inject import Timing, planned
 
     (section,) = snippets("inject.md", "toml")
     rest = {
@@ -83,7 +83,7 @@ def test_the_campaign_of_the_page_names_a_device_elsewhere() -> None:
 
 
 def test_every_option_of_the_commands_is_on_its_page() -> None:
-    from .commands import call
+    from ..support.commands import call
 
     for command, page in (("inject", "inject.md"), ("import", "exchange.md"), ("export", "exchange.md")):
         said = call(command, "--help").stdout

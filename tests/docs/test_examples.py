@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
 SOURCES = EXAMPLES.parent / "tests" / "boxes"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "paper"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "paper"
 sys.path.insert(0, str(EXAMPLE))
 
 import comparison  # noqa: E402

@@ -1,6 +1,6 @@
 """The adaptive grid: how few points certify, how honest the certificate is, and that it is resumed like any other.
 
-``python -m pytest -m evidence -s tests/test_adaptive.py`` prints how many points a log grid needs instead.
+``python -m pytest -m evidence -s tests/identify/test_adaptive.py`` prints how many points a log grid needs instead.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqsweep.identify.adaptive import NEAREST_HZ, band_of, decide, first_places, interpolate
-from seqsweep.identify.barycentric import interpolants, poles
-from seqsweep.identify.folded import DqData, to_dq
+from seqsweep.identify.fit.aaa import interpolants, poles
+from seqsweep.identify.fit.adaptive import NEAREST_HZ, band_of, decide, first_places, interpolate
+from seqsweep.identify.fit.dq_data import DqData, to_dq
 from seqsweep.identify.frames import pn_to_dq
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import read_table, validate_table
-from seqsweep.plant.dpmsg import ReferenceTurbine
+from seqsweep.identify.table.read import read_table, validate_table
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
-from seqsweep.sweep import campaign, shards
-from seqsweep.sweep.campaign import RunError, run
-from seqsweep.sweep.config import Config, ConfigError
-from seqsweep.sweep.grid import GridError, coherent_block
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.cli.plan_text import plan_text
+from seqsweep.sweep.config.sections import Config, ConfigError
+from seqsweep.sweep.excitation.adaptive_rounds import Adaptive, first_round, next_round
+from seqsweep.sweep.excitation.frequencies import GridError, coherent_block
 from seqsweep.sweep.plan import make_plan
-from seqsweep.sweep.plan_text import plan_text
-from seqsweep.sweep.rounds import Adaptive, first_round, next_round
-from seqsweep.sweep.show import summary
+from seqsweep.sweep.report.summary import summary
+from seqsweep.sweep.run import campaign, shards
+from seqsweep.sweep.run.campaign import RunError, run
 
-from . import oracle
-from .commands import call, end_group, shards_of, start, wait_for
-from .resonances import TEN_HZ, ResonantBank
+from ..support import oracle
+from ..support.commands import call, end_group, shards_of, start, wait_for
+from ..support.resonances import TEN_HZ, ResonantBank
 
 F1_HZ = 50.0
 BAND_HZ = band_of(1.0, 1000.0, F1_HZ)

@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from seqsweep.identify.fit import fit_response
-from seqsweep.identify.folded import to_dq
-from seqsweep.identify.rational import evaluate, evaluate_pn, gradient, row_shares, spread
+from seqsweep.identify.fit.dq_data import to_dq
+from seqsweep.identify.fit.model import fit_response
+from seqsweep.identify.fit.rational import evaluate, evaluate_pn, gradient, row_shares, spread
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.uncertainty import real_covariance, student_factor
-from seqsweep.plant.dpmsg_parameters import TABLE_I, TurbineParameters
-from seqsweep.tuning.advice import remedy
+from seqsweep.plant.turbine.parameters import TABLE_I, TurbineParameters
 from seqsweep.tuning.intervals import Gain, Interval, interval_at, margin_interval, relative_error_of_y1, scale_interval
 from seqsweep.tuning.margins import critical_scale
 from seqsweep.tuning.poles import mode_weight
+from seqsweep.tuning.remedy import remedy
 from seqsweep.tuning.result import format_table, with_doubt
 from seqsweep.tuning.siso import Grid, impedance_dq, siso
 from seqsweep.tuning.stability import bode_crossings, critical_crossing, judge
 from seqsweep.tuning.tune import tune
 
-from . import oracle
+from ..support import oracle
 from .test_fit import F1_HZ, F_HZ, U_V
 
 LINE = Grid(0.012, 0.25, F1_HZ)

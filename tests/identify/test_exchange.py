@@ -13,18 +13,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from seqsweep.identify import exchange_mat
-from seqsweep.identify.exchange import OPTIONS, ExchangeError
-from seqsweep.identify.exchange_headers import column_of
-from seqsweep.identify.exchange_objects import to_control, to_network, to_xarray
-from seqsweep.identify.exchange_table import to_table
+from seqsweep.identify.exchange import mat as exchange_mat
+from seqsweep.identify.exchange.convert import to_table
+from seqsweep.identify.exchange.facts import OPTIONS, ExchangeError
+from seqsweep.identify.exchange.headers import column_of
+from seqsweep.identify.exchange.objects import to_control, to_network, to_xarray
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import Table, read_table, validate_table
-from seqsweep.identify.table_format import TableError
-from seqsweep.identify.table_write import write_table
-from seqsweep.sweep.exchange import export_table, import_file, read_file
+from seqsweep.identify.table.format import TableError
+from seqsweep.identify.table.read import Table, read_table, validate_table
+from seqsweep.identify.table.write import write_table
+from seqsweep.sweep.cli.exchange import export_table, import_file, read_file
 
-from .commands import call
+from ..support.commands import call
 
 F1_HZ = 49.97
 BASES = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
@@ -416,7 +416,7 @@ def test_a_dq_import_is_tuned_like_the_pn_original(tmp_path: Path) -> None:
     from seqsweep.tuning.siso import parse_grid
     from seqsweep.tuning.tune import tune
 
-    from .oracle import admittance_pn
+    from ..support.oracle import admittance_pn
 
     f_hz = np.concatenate([np.geomspace(2.0, 45.0, 25), np.geomspace(55.0, 1000.0, 30)])
     y = admittance_pn(f_hz, 0.65e6, 690.0)

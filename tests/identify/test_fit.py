@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqsweep.identify.fit import MIN_POINTS, fit_response
-from seqsweep.identify.folded import to_dq
-from seqsweep.identify.rational import RationalModel, derivative, evaluate, evaluate_pn, gradient
+from seqsweep.identify.fit.dq_data import to_dq
+from seqsweep.identify.fit.model import MIN_POINTS, fit_response
+from seqsweep.identify.fit.rational import RationalModel, derivative, evaluate, evaluate_pn, gradient
 from seqsweep.identify.response import FrequencyResponse
 
-from . import oracle
+from ..support import oracle
 
 F1_HZ = 50.0
 U_V = 690.0

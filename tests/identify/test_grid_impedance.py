@@ -19,11 +19,12 @@ from seqsweep.identify.grid_impedance import (
     identify_grid,
     injected_current,
 )
-from seqsweep.plant.branch import RLBranch
-from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Record, Source, Tone
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.grid_probe import (
+from seqsweep.plant.rl_branch import RLBranch
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.excitation.signals import tones
+from seqsweep.sweep.grid_probe.probe import (
     BAND_HZ,
     SCHEMA_FILE,
     GridSeen,
@@ -34,11 +35,10 @@ from seqsweep.sweep.grid_probe import (
     to_json,
 )
 from seqsweep.sweep.plan import make_plan
-from seqsweep.sweep.signals import tones
 from seqsweep.tuning.siso import parse_grid
 
-from .commands import call
-from .plants import LateBranch, NoisyBranch
+from ..support.commands import call
+from ..support.plants import LateBranch, NoisyBranch
 
 F1_HZ = 50.0
 TURBINE = ReferenceTurbine()

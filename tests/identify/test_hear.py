@@ -7,14 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from seqsweep.identify.detect import find_tones
-from seqsweep.identify.hear import HearingError, hear
-from seqsweep.identify.joint import Line, constant, project, solve
-from seqsweep.identify.pair import Experiment, points_of
+from seqsweep.identify.recorded.detect import find_tones
+from seqsweep.identify.recorded.line_fit import Line, constant, project, solve
+from seqsweep.identify.recorded.points import Experiment, points_of
+from seqsweep.identify.recorded.tones import HearingError, hear
 from seqsweep.plant.protocol import Record
 
-from . import by_hand, oracle
-from .by_hand import POWER_W, VOLTAGE_V, Stretch, turbine
+from ..support import by_hand, oracle
+from ..support.by_hand import POWER_W, VOLTAGE_V, Stretch, turbine
 
 F1 = 49.97
 R_OHM, L_H = 0.1, 1e-3

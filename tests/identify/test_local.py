@@ -7,14 +7,14 @@ import pytest
 from numba import njit
 from scipy.signal import cont2discrete
 
-from seqsweep.identify.hear import HearingError
-from seqsweep.identify.local import local_polynomials
-from seqsweep.identify.table import read_table, validate_table
+from seqsweep.identify.recorded.local_polynomial import local_polynomials
+from seqsweep.identify.recorded.tones import HearingError
+from seqsweep.identify.table.read import read_table, validate_table
 
-from . import by_hand, oracle
-from . import recording_files as files
-from .by_hand import POWER_W, VOLTAGE_V, Stretch
-from .commands import call
+from ..support import by_hand, oracle
+from ..support import recording_files as files
+from ..support.by_hand import POWER_W, VOLTAGE_V, Stretch
+from ..support.commands import call
 from .test_hear import F1, noisy, relative_norms
 
 DT = 2e-4

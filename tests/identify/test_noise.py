@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqsweep.identify.quality import steady_mean, trend
-from seqsweep.plant.branch import RLBranch, admittance
-from seqsweep.sweep.linearity import compared, judged
+from seqsweep.identify.settling import steady_mean, trend
+from seqsweep.plant.rl_branch import RLBranch, admittance
+from seqsweep.sweep.measure.linearity import compared, judged
 
-from . import plants
-from .resonances import ResonantBank
-from .sweeps import errors, inside, planned, rows_of
+from ..support import plants
+from ..support.resonances import ResonantBank
+from ..support.sweeps import errors, inside, planned, rows_of
 
 F_HZ = [20.0, 70.0, 100.0, 130.0, 300.0]  # 100 and 300 Hz are harmonics of f1: the baseline's own noise counts there
 

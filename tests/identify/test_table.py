@@ -15,15 +15,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqsweep.identify import table, table_format, table_write
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import iter_responses, read_table, validate_table
-from seqsweep.identify.table_format import TableError
-from seqsweep.identify.table_write import write_table
+from seqsweep.identify.table import format as table_format
+from seqsweep.identify.table import read as table
+from seqsweep.identify.table import write as table_write
+from seqsweep.identify.table.format import TableError
+from seqsweep.identify.table.read import iter_responses, read_table, validate_table
+from seqsweep.identify.table.write import write_table
 
 F1_HZ = 50.0
 F_HZ = np.array([1.5, 23.7, 76.3, 100.0, 150.0, 999.5])
-DOCS = Path(__file__).parents[1] / "docs" / "table-format.md"
+DOCS = Path(__file__).parents[2] / "docs" / "table-format.md"
 
 Change = Callable[[pa.Table], pa.Table]
 MetaChange = Callable[[dict[str, Any]], Any]
@@ -500,5 +502,7 @@ def test_the_format_page_lists_every_column_with_its_unit() -> None:
 
 
 def test_importing_the_table_does_not_import_pyarrow() -> None:
-    code = "import sys, seqsweep.identify.table; sys.exit(any(m in sys.modules for m in ('pyarrow', 'jsonschema')))"
+    code = (
+        "import sys, seqsweep.identify.table.read; sys.exit(any(m in sys.modules for m in ('pyarrow', 'jsonschema')))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -9,8 +9,8 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from seqsweep.plant.branch import RLBranch, admittance, continuous_admittance
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
+from seqsweep.plant.rl_branch import RLBranch, admittance, continuous_admittance
 
 BRANCH = RLBranch()
 AT_RATED = OperatingPoint(0.0, 690.0)

@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
-from seqsweep.plant import branches
-from seqsweep.plant.branches import BoxLost, Snapshots
+from seqsweep.plant.states import stores as branches
+from seqsweep.plant.states.stores import BoxLost, Snapshots
 
 
 class Counter:

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from seqsweep.plant.branch import BranchState, RLBranch
 from seqsweep.plant.check import Finding, check_plant
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Phasors, Source
 from seqsweep.plant.registry import is_built_in, make_plant, registered_ids
+from seqsweep.plant.rl_branch import BranchState, RLBranch
 
 GRID = Source("thevenin", r_ohm=0.012, l_h=0.8e-3, angle_rad=0.3)
 

@@ -9,16 +9,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqsweep.plant.cigre import Controller, private_copy
-from seqsweep.plant.cigre_abi import CigreError, Library, describe
-from seqsweep.plant.grey import GreyTurbine
+from seqsweep.plant.controllers.cigre import Controller, private_copy
+from seqsweep.plant.controllers.cigre_abi import CigreError, Library, describe
+from seqsweep.plant.controllers.interface import ControllerFault, Stretch
+from seqsweep.plant.controllers.signal_map import WiringError, wire
+from seqsweep.plant.greybox.turbine import GreyTurbine
 from seqsweep.plant.protocol import Job, OperatingPoint, Source
 from seqsweep.plant.registry import PlantError, make_plant
-from seqsweep.plant.sealed import ControllerFault, Stretch
-from seqsweep.plant.wiring import WiringError, wire
 
-from .commands import call
-from .controllers import COMPILER, INPUTS, OUTPUTS, build, needs_compiler
+from ..support.commands import call
+from ..support.controllers import COMPILER, INPUTS, OUTPUTS, build, needs_compiler
 
 pytestmark = needs_compiler
 

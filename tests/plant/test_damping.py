@@ -8,14 +8,14 @@ from math import pi
 import numpy as np
 import pytest
 
-from seqsweep.plant import damping
-from seqsweep.plant.damping import DampingSettings, DampingState, Measurement
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
-from seqsweep.plant.estimator import sliding_fft
+from seqsweep.plant.damping import control as damping
+from seqsweep.plant.damping.control import DampingSettings, DampingState, Measurement
+from seqsweep.plant.damping.estimator import sliding_fft
 from seqsweep.plant.protocol import Compensation, Injection, Job, OperatingPoint, Source, Tone, Window
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 
-from . import oracle
+from ..support import oracle
 
 W1 = TABLE_I.w1_rad_s
 XI = 0.01

@@ -1,4 +1,4 @@
-"""The second-order step, ``integrator="emt"``. Its figures: ``python -m pytest -s tests/test_emt.py``."""
+"""The second-order step, ``integrator="emt"``. Its figures: ``python -m pytest -s tests/plant/test_emt.py``."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 from seqsweep.plant.registry import PlantError, PlantSpec, fingerprint, make_plant
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 
-from . import oracle
-from .test_accuracy import BAND, BAR_MEDIAN, BAR_WORST, IN_PLACE, P_MW, U_V, relative, swept
+from ..support import oracle
+from ..sweep.test_accuracy import BAND, BAR_MEDIAN, BAR_WORST, IN_PLACE, P_MW, U_V, relative, swept
 
 LINE = Source("thevenin", LINE_R_OHM, LINE_L_H)
 STEPS_US = (50.0, 25.0, 12.5, 6.25)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqsweep.plant.estimator import NO_RESONANCE, block_means, matrix_pencil, sliding_fft
+from seqsweep.plant.damping.estimator import NO_RESONANCE, block_means, matrix_pencil, sliding_fft
 
 FAR_HZ = (18.0, 23.0, 30.0, 38.0, 62.0, 70.0, 77.0, 80.0)
 GROWTH_PER_S = 2.0

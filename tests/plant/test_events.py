@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from seqsweep.plant.branch import RLBranch
-from seqsweep.plant.damping import DampingSettings
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
-from seqsweep.plant.estimator import sliding_fft
-from seqsweep.plant.events import (
+from seqsweep.plant.damping.control import DampingSettings
+from seqsweep.plant.damping.estimator import sliding_fft
+from seqsweep.plant.damping.events import (
     Fault,
     GridStep,
     PowerStep,
@@ -29,8 +26,11 @@ from seqsweep.plant.events import (
     simulate,
 )
 from seqsweep.plant.protocol import Conditions, OperatingPoint, Source
+from seqsweep.plant.rl_branch import RLBranch
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 
-from . import oracle
+from ..support import oracle
 from .test_damping import damped_equilibrium, damped_grid_rhs, turn
 
 PLANT = ReferenceTurbine()

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table
-from seqsweep.plant import fmu_archive
+from seqsweep.identify.table.read import read_table
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.fmu import fmu_plant
-from seqsweep.plant.fmu_archive import ArchiveError, look_through, unpack
-from seqsweep.plant.fmu_instance import FmuFault
+from seqsweep.plant.fmu import archive as fmu_archive
+from seqsweep.plant.fmu.archive import ArchiveError, look_through, unpack
+from seqsweep.plant.fmu.device import fmu_plant
+from seqsweep.plant.fmu.instance import FmuFault
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 
-from . import step_plants
-from .commands import campaign, ended
-from .fmus import PARAMETERS, description, fmu
-from .sweeps import swept
+from ..support import step_plants
+from ..support.commands import campaign, ended
+from ..support.fmus import PARAMETERS, description, fmu
+from ..support.sweeps import swept
 
 POINT = OperatingPoint(0.4e6, 690.0)
 

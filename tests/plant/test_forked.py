@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from seqsweep.plant.forked import BoxDied, CannotFork, Forks
+from seqsweep.plant.states.forks import BoxDied, CannotFork, Forks
 
-from .commands import wait_for
+from ..support.commands import wait_for
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="snapshots by fork need Linux")
 

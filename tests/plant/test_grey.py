@@ -1,6 +1,6 @@
 """A real-code controller in the turbine's circuit, held against the turbine and its own exact linearisation.
 
-Figures: ``python -m pytest -s tests/test_grey.py``.
+Figures: ``python -m pytest -s tests/plant/test_grey.py``.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
-from seqsweep.plant.forked import BoxDied
-from seqsweep.plant.grey import POSITIONS_KEPT, GreyTurbine
-from seqsweep.plant.grey_circuit import forcing, network
+from seqsweep.plant.controllers.interface import ControllerFault
+from seqsweep.plant.greybox.circuit import forcing, network
+from seqsweep.plant.greybox.turbine import POSITIONS_KEPT, GreyTurbine
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone, Window
 from seqsweep.plant.registry import make_plant
-from seqsweep.plant.sealed import ControllerFault
+from seqsweep.plant.states.forks import BoxDied
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 
-from . import oracle, sampled
-from .commands import SEQSWEEP, family_s
-from .controllers import INPUTS, OUTPUTS, build, needs_compiler
-from .sweeps import planned
-from .test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
+from ..support import oracle, sampled
+from ..support.commands import SEQSWEEP, family_s
+from ..support.controllers import INPUTS, OUTPUTS, build, needs_compiler
+from ..support.sweeps import planned
+from ..sweep.test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
 
 pytestmark = needs_compiler
 
@@ -312,7 +312,7 @@ def children_s():
 
 def time_of_example(name, folder):
     """Wall time and CPU time (s) of a campaign among the examples, run by two workers in ``folder``."""
-    campaign = Path(__file__).parent.parent / "examples" / name
+    campaign = Path(__file__).parents[2] / "examples" / name
     used, begun = children_s(), time.monotonic()
     command = [SEQSWEEP, "run", str(campaign), "-o", "y.parquet", "--jobs", "2"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)

@@ -8,8 +8,8 @@ from __future__ import annotations
 import pyarrow.parquet as pq
 import pytest
 
-from .commands import call, group_members, start
-from .controllers import build, needs_compiler
+from ..support.commands import call, group_members, start
+from ..support.controllers import build, needs_compiler
 
 pytestmark = needs_compiler
 

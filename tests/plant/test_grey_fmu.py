@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table
-from seqsweep.plant.branches import Snapshots
+from seqsweep.identify.table.read import read_table
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.fmu_instance import FmuFault
-from seqsweep.plant.forked import BoxDied, Forks
-from seqsweep.plant.grey import GreyTurbine
+from seqsweep.plant.controllers.interface import ControllerFault
+from seqsweep.plant.fmu.instance import FmuFault
+from seqsweep.plant.greybox.turbine import GreyTurbine
 from seqsweep.plant.protocol import Job, NotSettled, Source, Window
 from seqsweep.plant.registry import PlantError, make_plant
-from seqsweep.plant.sealed import ControllerFault
+from seqsweep.plant.states.forks import BoxDied, Forks
+from seqsweep.plant.states.stores import Snapshots
 
-from . import oracle
-from .commands import ended
-from .controllers import INPUTS, INPUTS_2, OUTPUTS, OUTPUTS_2, build, build_fmu, needs_compiler
-from .test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
+from ..support import oracle
+from ..support.commands import ended
+from ..support.controllers import INPUTS, INPUTS_2, OUTPUTS, OUTPUTS_2, build, build_fmu, needs_compiler
+from ..sweep.test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
 from .test_grey import BAND, FEW, POINT, TONE, alone_us, answers, linearised, time_of_example
 
 pytestmark = needs_compiler
@@ -116,7 +116,7 @@ def test_settings_of_whole_numbers_reach_the_fmu():
     assert records[0].i.tobytes() == records[1].i.tobytes()
 
 
-PYTHON_CONTROLLER = Path(__file__).parent / "boxes" / "python_controller.py"
+PYTHON_CONTROLLER = Path(__file__).parents[1] / "support" / "boxes" / "python_controller.py"
 
 
 def exported(folder, exporter):
@@ -293,7 +293,7 @@ def test_a_refusal_to_start_has_the_fmus_own_words():
 def campaign(folder, *switches, f_hz=(20.0, 150.0)):
     """The example's, with the FMU of these switches."""
     path = folder / "campaign.toml"
-    example = (Path(__file__).parent.parent / "examples" / "fmu_controller.toml").read_text("utf-8")
+    example = (Path(__file__).parents[2] / "examples" / "fmu_controller.toml").read_text("utf-8")
     head, _, _ = example.partition("[sweep]")
     head = head.replace("turbine_controller.fmu", str(build_fmu(*switches)))
     path.write_text(f"{head}[sweep]\nf_hz = {list(f_hz)}\n", "utf-8")

@@ -11,15 +11,15 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from seqsweep.plant.dpmsg_equilibrium import (
+from seqsweep.plant.turbine.equilibrium import (
     grid_side_equilibrium,
     machine_equilibrium,
     terminal_voltage_for_source,
     thevenin_voltage,
 )
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM, TABLE_I
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM, TABLE_I
 
-from . import oracle
+from ..support import oracle
 
 P_W = 0.65e6
 U_V = 690.0

@@ -13,8 +13,8 @@ from hypothesis.extra.numpy import arrays
 from seqsweep.identify.admittance import solve_pn
 from seqsweep.identify.fourier import block_phasors, harmonics, line, periodic_window, rotation, taper
 from seqsweep.identify.frames import dq_to_pn, pn_to_dq, to_frame
-from seqsweep.identify.quality import COND_LIMIT, first_agreement, period_change, windows
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.identify.settling import COND_LIMIT, first_agreement, period_change, windows
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Phasors, Record, Source, Tone, Window
 from seqsweep.plant.registry import make_plant
 

@@ -9,14 +9,14 @@ import time
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table
+from seqsweep.identify.table.read import read_table
+from seqsweep.plant.boxes.program import process_plant
+from seqsweep.plant.boxes.program_frames import MOST_STEPS, Peer, PeerError
 from seqsweep.plant.check import check_plant
-from seqsweep.plant.peer import MOST_STEPS, Peer, PeerError
-from seqsweep.plant.process import process_plant
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 
-from . import step_plants
-from .commands import HERE, call, campaign, end_group, ended, group_members, shards_of, start, wait_for
+from ..support import step_plants
+from ..support.commands import HERE, call, campaign, end_group, ended, group_members, shards_of, start, wait_for
 
 PEER = f"{sys.executable} {HERE / 'boxes' / 'peer.py'}"
 RATED = OperatingPoint(0.0, 690.0)

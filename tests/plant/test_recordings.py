@@ -12,8 +12,8 @@ from scipy.io import savemat
 from seqsweep.plant.recordings.read import known_suffixes, read_recording, recordings_in
 from seqsweep.plant.recordings.waveforms import open_waveforms
 
-from . import recording_files as files
-from .by_hand import Stretch
+from ..support import recording_files as files
+from ..support.by_hand import Stretch
 
 N, DT = 3000, 1e-4
 T = DT * np.arange(N)

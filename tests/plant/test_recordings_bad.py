@@ -19,7 +19,7 @@ from seqsweep.plant.recordings.read import read_recording
 from seqsweep.plant.recordings.recording import RecordingError
 from seqsweep.plant.recordings.waveforms import defects, open_waveforms
 
-from . import recording_files as files
+from ..support import recording_files as files
 from .test_recordings import COLUMNS, DT, SAMPLES, N, T, notes
 
 

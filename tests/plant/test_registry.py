@@ -12,12 +12,12 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from seqsweep.plant import registry
-from seqsweep.plant.branch import RLBranch
-from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Plant
 from seqsweep.plant.registry import PlantError, PlantSpec, fingerprint, make_plant, register, releases_gil
+from seqsweep.plant.rl_branch import RLBranch
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 
-from .commands import call, campaign
+from ..support.commands import call, campaign
 
 
 def test_the_built_in_plants_are_found_and_answer_the_protocol():
@@ -31,7 +31,8 @@ def test_the_built_in_plants_are_found_and_answer_the_protocol():
 def test_importing_the_registry_imports_no_plant_and_no_numba():
     code = (
         "import sys, seqsweep.plant.registry as r; r.registered_ids();"
-        "assert not {'numba', 'seqsweep.plant.branch', 'seqsweep.plant.dpmsg', 'importlib.metadata'} & set(sys.modules)"
+        "plants = {'seqsweep.plant.rl_branch', 'seqsweep.plant.turbine.reference'};"
+        "assert not ({'numba', 'importlib.metadata'} | plants) & set(sys.modules)"
     )
     script = f"import sys; before = set(sys.modules); {code.replace('set(sys.modules)', '(set(sys.modules) - before)')}"
     subprocess.run([sys.executable, "-c", script], check=True)
@@ -68,7 +69,7 @@ def test_a_refused_value_names_the_plant(value):
 
 
 LOCAL_PLANT = """
-from seqsweep.plant.branch import RLBranch
+from seqsweep.plant.rl_branch import RLBranch
 
 TEXT = "no factory"
 
@@ -135,7 +136,7 @@ def test_an_entry_point_is_read_only_for_an_unknown_id(monkeypatch):
 
     def entry_points(group):
         asked.append(group)
-        return [EntryPoint("vendor-v1", "seqsweep.plant.branch:RLBranch", group)]
+        return [EntryPoint("vendor-v1", "seqsweep.plant.rl_branch:RLBranch", group)]
 
     monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
     make_plant("branch-v1", {})
@@ -149,7 +150,7 @@ def test_an_entry_point_is_read_only_for_an_unknown_id(monkeypatch):
 def test_another_distribution_brings_a_plant_of_its_own(tmp_path):
     """Metadata as an installer leaves them, on the search path of the command: the runner and its children find it."""
     (tmp_path / "vendor_plants.py").write_text(
-        "from seqsweep.plant.branch import RLBranch\n\n\nclass Box(RLBranch):\n    id = 'vendor-box-v1'\n"
+        "from seqsweep.plant.rl_branch import RLBranch\n\n\nclass Box(RLBranch):\n    id = 'vendor-box-v1'\n"
     )
     info = tmp_path / "vendor_plants-1.0.dist-info"
     info.mkdir()
@@ -168,7 +169,7 @@ def test_another_distribution_brings_a_plant_of_its_own(tmp_path):
 
 def test_an_id_needs_a_version_and_keeps_its_meaning(monkeypatch):
     monkeypatch.setattr(registry, "_targets", dict(registry._targets))
-    register("branch-v1", "seqsweep.plant.branch:RLBranch")
+    register("branch-v1", "seqsweep.plant.rl_branch:RLBranch")
     with pytest.raises(ValueError, match="changed physics get a new version"):
         register("branch-v1", "elsewhere:Other")
     with pytest.raises(ValueError, match="and a version"):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from seqsweep.plant.boxes.step_function import StepError, plant_from_step
 from seqsweep.plant.check import check_plant
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone
-from seqsweep.plant.step import StepError, plant_from_step
 
-from . import step_plants
-from .commands import call, campaign
-from .step_plants import DT_S, KEEP, admittance
-from .sweeps import planned, swept
+from ..support import step_plants
+from ..support.commands import call, campaign
+from ..support.step_plants import DT_S, KEEP, admittance
+from ..support.sweeps import planned, swept
 
 RATED = OperatingPoint(0.0, 690.0)
 GRID = Source("thevenin", r_ohm=0.012, l_h=0.8e-3, angle_rad=0.3)

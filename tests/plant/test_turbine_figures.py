@@ -1,16 +1,16 @@
-"""The figures of docs/turbine.md: printed by ``python -m pytest -m evidence -s tests/test_turbine_figures.py``."""
+"""The figures of docs/turbine.md, by ``pytest -m evidence -s tests/plant/test_turbine_figures.py``."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_equilibrium import machine_equilibrium
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 from seqsweep.plant.protocol import Job, OperatingPoint, Source
+from seqsweep.plant.turbine.equilibrium import machine_equilibrium
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 
-from . import oracle
+from ..support import oracle
 
 pytestmark = pytest.mark.evidence
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqsweep.plant import waveform as module
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
-from seqsweep.plant.waveform import common_period, waveform
+from seqsweep.plant.turbine import tone_table as module
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.plant.turbine.tone_table import common_period, waveform
 
 RATE_HZ = 40e3
 POINT = OperatingPoint(0.65e6, 690.0)

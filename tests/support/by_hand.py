@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from scipy.special import jv
 
-from seqsweep.plant.dpmsg_parameters import TABLE_I
 from seqsweep.plant.protocol import Record
+from seqsweep.plant.turbine.parameters import TABLE_I
 
 from . import oracle
 

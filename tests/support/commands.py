@@ -11,6 +11,7 @@ from pathlib import Path
 
 SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
 HERE = Path(__file__).parent
+TOP = HERE.parents[1]
 """Commands run here: `python:plants:...` is found in the current folder."""
 
 CAMPAIGN = """\

@@ -16,7 +16,7 @@ from math import pi
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from seqsweep.plant.dpmsg_parameters import TABLE_I, TurbineParameters
+from seqsweep.plant.turbine.parameters import TABLE_I, TurbineParameters
 
 STATES = (
     *("i_l_d", "i_l_q", "v_c_d", "v_c_q", "delta", "xi_pll", "xi_dc", "xi_d", "xi_q", "v_dc"),

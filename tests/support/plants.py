@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from seqsweep.plant.branch import RLBranch
-from seqsweep.plant.dpmsg import ReferenceTurbine
 from seqsweep.plant.protocol import Job, OperatingRange, Phasors, Rating, Record
+from seqsweep.plant.rl_branch import RLBranch
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 
 
 class RecordingBranch(RLBranch):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from seqsweep.plant.step import plant_from_lanes, plant_from_step
+from seqsweep.plant.boxes.step_function import plant_from_lanes, plant_from_step
 
 R_OHM, L_H, DT_S = 0.1, 1e-3, 50e-6
 DECAY = float(np.exp(-R_OHM * DT_S / L_H))
@@ -49,7 +49,7 @@ def unbalanced():
 
 def three_phase_step(state, v, dt):
     """As a colleague writes it: three phases, an array of currents."""
-    from seqsweep.plant.threephase import abc_of, vector_of
+    from seqsweep.plant.space_vectors import abc_of, vector_of
 
     i_abc = state + dt / L_H * (abc_of(v) - R_OHM * state)
     return i_abc, complex(vector_of(i_abc))

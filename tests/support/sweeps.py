@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.linearity import covariance_of, judged
-from seqsweep.sweep.measure import measure
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.measure.linearity import covariance_of, judged
+from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.plan import make_plan
 
 

@@ -1,4 +1,4 @@
-"""How exact a sweep is. Every test prints what it measured: ``python -m pytest -s tests/test_accuracy.py``.
+"""How exact a sweep is. Every test prints what it measured: ``python -m pytest -s tests/sweep/test_accuracy.py``.
 
 The yardstick is the turbine's exact linearisation in continuous time (`oracle`), which shares nothing
 with the plant but the values of its parameters. The sweep knows the plant by its terminals alone.
@@ -14,17 +14,17 @@ import pytest
 
 from seqsweep.identify.admittance import solve_pn
 from seqsweep.identify.fourier import harmonics, line, periodic_window
-from seqsweep.plant.branch import RLBranch, admittance, continuous_admittance
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.grid import coherent_block, generated
-from seqsweep.sweep.measure import measure
+from seqsweep.plant.rl_branch import RLBranch, admittance, continuous_admittance
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.excitation.frequencies import coherent_block, generated
+from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.plan import make_plan
 
-from . import oracle
+from ..support import oracle
 
 P_MW, U_V = 0.65, 690.0
 BAND = {"f_min_hz": 1.0, "f_max_hz": 1000.0, "points": 100}

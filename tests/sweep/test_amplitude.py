@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table
-from seqsweep.plant.branch import admittance
-from seqsweep.plant.dpmsg import ReferenceTurbine
+from seqsweep.identify.table.read import read_table
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.amplitude import RATIO, STEPS
-from seqsweep.sweep.campaign import run
-from seqsweep.sweep.config import Config
+from seqsweep.plant.rl_branch import admittance
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.run.campaign import run
+from seqsweep.sweep.run.pilots import RATIO, STEPS
 
-from .oracle import admittance_pn
-from .plants import NoisyBentBranch
+from ..support.oracle import admittance_pn
+from ..support.plants import NoisyBentBranch
 
 TURBINE = {"f_min_hz": 5.0, "f_max_hz": 500.0, "points": 24}
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqsweep.identify.transient import transients
-from seqsweep.plant.branch import RLBranch, admittance
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.sweep.lines import SignalError
-from seqsweep.sweep.measure import measure
+from seqsweep.identify.transient_modes import transients
+from seqsweep.plant.rl_branch import RLBranch, admittance
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.excitation.odd_lines import SignalError
+from seqsweep.sweep.measure.measure import measure
 
-from . import plants
-from .oracle import admittance_pn
-from .sweeps import errors, inside, planned, rows_of
+from ..support import plants
+from ..support.oracle import admittance_pn
+from ..support.sweeps import errors, inside, planned, rows_of
 
 SWEEP = {"f_min_hz": 1.0, "f_max_hz": 1000.0, "points": 100}
 STEP_S = 200e-6

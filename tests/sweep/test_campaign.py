@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table, validate_table
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM
+from seqsweep.identify.table.read import read_table, validate_table
 from seqsweep.plant.protocol import NotSettled
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep import campaign, loadflow, shards
-from seqsweep.sweep.campaign import RunError, run
-from seqsweep.sweep.config import Config
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.measure import loadflow
 from seqsweep.sweep.plan import Grid, make_plan
+from seqsweep.sweep.run import campaign, shards
+from seqsweep.sweep.run.campaign import RunError, run
 
-from . import oracle
+from ..support import oracle
 
 TWO_POINTS = [
     {"id": "low", "active_power_mw": 0.3, "terminal_voltage_pu": 1.0},

@@ -13,13 +13,13 @@ import pytest
 
 from seqsweep.plant.protocol import Rating
 from seqsweep.plant.registry import PlantError, PlantSpec, card_of, is_black_box, make_plant, register, runs_isolated
-from seqsweep.sweep import child as children_of
-from seqsweep.sweep.child import Child, ChildFailed, child, scratch
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.isolate import plant_or_card
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.run import child as children_of
+from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
+from seqsweep.sweep.run.host import plant_or_card
 
-from .commands import HERE, call, campaign, end_group, start, wait_for
+from ..support.commands import TOP, call, campaign, end_group, start, wait_for
 
 BRANCH = PlantSpec("branch-v1", {"r_ohm": 0.2})
 
@@ -77,7 +77,7 @@ def no_answer_that_can_be_sent(plant):
 @pytest.fixture
 def found_by_name(monkeypatch):
     """The functions above have to be importable in the child, too."""
-    monkeypatch.setenv("PYTHONPATH", str(HERE.parent))
+    monkeypatch.setenv("PYTHONPATH", str(TOP))
 
 
 def test_a_card_is_what_the_plant_says_of_itself_and_a_plan_needs_no_more(tmp_path):
@@ -99,7 +99,7 @@ def test_a_card_is_what_the_plant_says_of_itself_and_a_plan_needs_no_more(tmp_pa
 def test_a_card_holds_plain_values_whatever_the_plant_made_them_of(tmp_path):
     """A card that brought a class of the plant's module along would load that module in the runner."""
     (tmp_path / "foreign_rating.py").write_text(
-        "from seqsweep.plant.branch import RLBranch\n"
+        "from seqsweep.plant.rl_branch import RLBranch\n"
         "from seqsweep.plant.protocol import Rating\n"
         "class MyRating(Rating): pass\n"
         "class MyFloat(float): pass\n"
@@ -109,7 +109,7 @@ def test_a_card_holds_plain_values_whatever_the_plant_made_them_of(tmp_path):
         "        self.rating, self.f1_hz = MyRating(400.0, 1e4), MyFloat(50.0)\n"
     )
     code = (
-        "import sys; from seqsweep.plant.registry import PlantSpec; from seqsweep.sweep.child import child\n"
+        "import sys; from seqsweep.plant.registry import PlantSpec; from seqsweep.sweep.run.child import child\n"
         "with child(PlantSpec('python:foreign_rating:Plant')) as asked: print(asked.card.rating)\n"
         "assert 'foreign_rating' not in sys.modules"
     )
@@ -170,13 +170,14 @@ def test_a_plant_that_cannot_be_made_is_refused_in_its_own_words(tmp_path, spec,
 
 def test_a_killed_runner_takes_a_child_that_is_deep_in_itself_with_it(tmp_path, found_by_name):
     code = (
-        "import sys, pathlib; from seqsweep.plant.registry import PlantSpec; from seqsweep.sweep.child import child\n"
-        "from tests.test_child import pid_of, sleeps\n"
+        "import sys, pathlib; from seqsweep.plant.registry import PlantSpec\n"
+        "from seqsweep.sweep.run.child import child\n"
+        "from tests.sweep.test_child import pid_of, sleeps\n"
         "with child(PlantSpec('branch-v1')) as asked:\n"
         f"    pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(asked.ask(pid_of, 30.0, 'late')))\n"
         "    asked.ask(sleeps, 60.0, 'late')\n"
     )
-    runner = subprocess.Popen([sys.executable, "-c", code], cwd=HERE.parent)
+    runner = subprocess.Popen([sys.executable, "-c", code], cwd=TOP)
     wait_for(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
     time.sleep(0.2)
     runner.kill()
@@ -205,7 +206,7 @@ def test_a_black_box_is_never_loaded_in_the_runner(monkeypatch):
 
     monkeypatch.setattr(registry, "_targets", dict(registry._targets))
     monkeypatch.setattr(registry, "_BLACK_BOXES", set())
-    register("boxed-v1", "seqsweep.plant.branch:RLBranch", black_box=True)
+    register("boxed-v1", "seqsweep.plant.rl_branch:RLBranch", black_box=True)
     assert is_black_box("boxed-v1")
     assert runs_isolated("boxed-v1", None)
     with pytest.raises(PlantError, match=r"isolate = false: boxed-v1 is foreign code, .* never loaded in the runner"):
@@ -219,7 +220,7 @@ def test_the_runner_plans_and_runs_a_foreign_plant_without_importing_it(tmp_path
     """The module leaves its process id whenever it is imported."""
     (tmp_path / "tell_tale.py").write_text(
         "import os, pathlib\n"
-        "from seqsweep.plant.branch import RLBranch\n"
+        "from seqsweep.plant.rl_branch import RLBranch\n"
         "with open(pathlib.Path(__file__).with_name('imported'), 'a') as file: print(os.getpid(), file=file)\n"
         "class Plant(RLBranch): pass\n"
     )
@@ -258,7 +259,7 @@ def test_a_plant_that_dies_as_it_is_made_is_wrong_input(tmp_path):
 
 def test_check_survives_a_plant_that_does_not(tmp_path):
     (tmp_path / "mortal.py").write_text(
-        "import os\nfrom seqsweep.plant.branch import RLBranch\n"
+        "import os\nfrom seqsweep.plant.rl_branch import RLBranch\n"
         "class Plant(RLBranch):\n    def settle(self, point, source): os.abort()\n"
     )
     done = call("check", "python:mortal:Plant", env={**os.environ, "PYTHONPATH": str(tmp_path)})

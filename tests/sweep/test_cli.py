@@ -14,7 +14,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from .commands import SEQSWEEP, call, campaign, end_group, group_members, shards_of, slow_campaign, start, wait_for
+from ..support.commands import (
+    SEQSWEEP,
+    call,
+    campaign,
+    end_group,
+    group_members,
+    shards_of,
+    slow_campaign,
+    start,
+    wait_for,
+)
 
 OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
 
@@ -239,7 +249,7 @@ def test_help_imports_nothing_heavy_and_is_quick():
     heavy = "{'numba', 'matplotlib', 'pyarrow', 'joblib', 'pandas', 'numpy', 'scipy', 'pydantic', 'llvmlite'}"
     code = (
         "import sys; sys.argv = ['seqsweep', '--help']\n"
-        "from seqsweep.sweep.cli import main\n"
+        "from seqsweep.sweep.cli.main import main\n"
         f"try:\n    main()\nfinally:\n    print(sorted({heavy} & set(sys.modules)), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)

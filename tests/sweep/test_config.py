@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from seqsweep.sweep import config_file as module
-from seqsweep.sweep.config import Config, ConfigError, load_config
+from seqsweep.sweep.config import file as module
+from seqsweep.sweep.config.sections import Config, ConfigError, load_config
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 TEMPLATE = ROOT / "sweep" / "campaign_template.toml"
 EXAMPLE = ROOT / "examples" / "table1.toml"
 

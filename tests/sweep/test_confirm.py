@@ -7,11 +7,11 @@ import math
 import pytest
 
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.campaign import response_of
-from seqsweep.sweep.config import Config
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.confirm import ConfirmError, confirm, margin_with
-from seqsweep.sweep.measure import measure
+from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.run.campaign import response_of
 from seqsweep.tuning.siso import Grid
 from seqsweep.tuning.tune import tune
 

@@ -1,7 +1,7 @@
 """A vendor's controller in time: through grid steps, faults and damping control, as `seqsweep verify` drives it.
 
 The library is the reference turbine's own controls, so `dpmsg-v1` in the same scenario is the truth from outside.
-Figures: ``python -m pytest -s tests/test_grey_verify.py`` (and ``-m evidence``).
+Figures: ``python -m pytest -s tests/sweep/test_grey_verify.py`` (and ``-m evidence``).
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from seqsweep.plant.damping import DampingSettings
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.plant.dpmsg_parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM, TABLE_I
-from seqsweep.plant.events import (
+from seqsweep.plant.damping.control import DampingSettings
+from seqsweep.plant.damping.events import (
     Fault,
     GridStep,
     PowerStep,
@@ -30,8 +28,8 @@ from seqsweep.plant.events import (
     resonance_between,
     simulate,
 )
-from seqsweep.plant.grey import GreyTurbine
-from seqsweep.plant.grey_circuit import faulted
+from seqsweep.plant.greybox.circuit import faulted
+from seqsweep.plant.greybox.turbine import GreyTurbine
 from seqsweep.plant.protocol import (
     Compensation,
     Conditions,
@@ -41,13 +39,15 @@ from seqsweep.plant.protocol import (
     OperatingPoint,
     Source,
 )
-from seqsweep.sweep.verify import Tuned, VerifyError, compare, report
+from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM, TABLE_I
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.verify.verify import Tuned, VerifyError, compare, report
 from seqsweep.tuning.siso import Grid
 
-from .commands import ended
-from .controllers import INPUTS, OUTPUTS, build, needs_compiler
-from .test_grey import LINE, POINT, plant
-from .test_grey_fmu import plant as fmu_plant
+from ..plant.test_grey import LINE, POINT, plant
+from ..plant.test_grey_fmu import plant as fmu_plant
+from ..support.commands import ended
+from ..support.controllers import INPUTS, OUTPUTS, build, needs_compiler
 
 pytestmark = needs_compiler
 
@@ -415,7 +415,7 @@ points = 60
 def folder(tmp_path_factory):
     """Library, table and tuning of the example's campaign on 1.4 Z, the gain set to the paper's 0.5."""
     folder = tmp_path_factory.mktemp("grey-verify")
-    example = (Path(__file__).parent.parent / "examples" / "cigre.toml").read_text("utf-8")
+    example = (Path(__file__).parents[2] / "examples" / "cigre.toml").read_text("utf-8")
     head = example.partition("[[operating_point]]")[0].replace("turbine_controller.so", str(build()))
     (folder / "campaign.toml").write_text(head + CAMPAIGN, "utf-8")
     for command in (

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from seqsweep.sweep.grid import (
+from seqsweep.sweep.excitation.frequencies import (
     GENERATED_SHIFT,
     LISTED_SHIFT,
     MAX_WINDOW_S,

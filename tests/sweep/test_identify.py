@@ -8,24 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.identify.hear import hear
-from seqsweep.identify.pair import Experiment, _loud_enough, points_of
-from seqsweep.identify.table import read_table, validate_table
+from seqsweep.identify.recorded.points import Experiment, _loud_enough, points_of
+from seqsweep.identify.recorded.tones import hear
+from seqsweep.identify.table.read import read_table, validate_table
 from seqsweep.plant.protocol import Job
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.baseline import baseline
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.identify_run import identify, request_of
-from seqsweep.sweep.measure import measure
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.measure.baseline import baseline
+from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.recorded.identify import identify, request_of
 
-from . import by_hand
-from . import recording_files as files
-from .by_hand import Stretch
-from .commands import call
-from .test_hear import F1, branch, branch_y, noisy, relative_norms
+from ..identify.test_hear import F1, branch, branch_y, noisy, relative_norms
+from ..support import by_hand
+from ..support import recording_files as files
+from ..support.by_hand import Stretch
+from ..support.commands import call
 
-DATA = Path(__file__).parent.parent / "data"
+DATA = Path(__file__).parents[2] / "data"
 
 POINTS = (31.0, 77.0, 153.0)
 BASES = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}

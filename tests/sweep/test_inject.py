@@ -10,13 +10,13 @@ import comtrade
 import numpy as np
 import pytest
 
-from seqsweep.sweep.comtrade_file import AnalogChannel, write_comtrade
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.inject import InjectError, Timing, chosen, inject, planned
-from seqsweep.sweep.manifest_file import Manifest, manifest_violations
-from seqsweep.sweep.playback import phases
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.playback.comtrade import AnalogChannel, write_comtrade
+from seqsweep.sweep.playback.inject import InjectError, Timing, chosen, inject, planned
+from seqsweep.sweep.playback.manifest import Manifest, manifest_violations
+from seqsweep.sweep.playback.waveform_files import phases
 
-from .commands import call, campaign
+from ..support.commands import call, campaign
 
 RATE_HZ = 5000.0
 TIMING = Timing(RATE_HZ, quiet_s=0.2, settle_s=0.1, windows=1)

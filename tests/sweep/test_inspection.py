@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from seqsweep.plant.shared_object import SharedObjectError, read_shared_object
-from seqsweep.sweep.inspection import inspect, is_inspected
+from seqsweep.plant.controllers.shared_object import SharedObjectError, read_shared_object
+from seqsweep.sweep.cli.check import inspect, is_inspected
 
-from .commands import SEQSWEEP, call, campaign
-from .fmus import compiler, fmu
+from ..support.commands import SEQSWEEP, call, campaign
+from ..support.fmus import compiler, fmu
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 # Each leaves a trace when it is executed: a constructor of the library, the top of the module.
 LIBRARY = """

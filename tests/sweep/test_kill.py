@@ -1,6 +1,6 @@
 """kill -9 at any moment, then the same command again: the bytes of an undisturbed run.
 
-``python -m pytest -m evidence -s tests/test_kill.py`` kills at sixty random moments.
+``python -m pytest -m evidence -s tests/sweep/test_kill.py`` kills at sixty random moments.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from .commands import call, campaign, end_group, group_members, shards_of, slow_campaign, start, wait_for
+from ..support.commands import call, campaign, end_group, group_members, shards_of, slow_campaign, start, wait_for
 
 
 @pytest.fixture(scope="module")

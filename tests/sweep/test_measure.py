@@ -9,13 +9,13 @@ from math import isnan
 import numpy as np
 import pytest
 
-from seqsweep.plant.branch import RLBranch, admittance
-from seqsweep.plant.dpmsg import ReferenceTurbine
-from seqsweep.sweep.config import Config
-from seqsweep.sweep.measure import measure
+from seqsweep.plant.rl_branch import RLBranch, admittance
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.plan import Batch, make_plan
 
-from . import plants
+from ..support import plants
 
 F_HZ = [20.0, 70.0, 95.0, 130.0, 300.0]
 """`plants.FailingBranch` fails for tones from 90 to 110 Hz: for the point at 95 Hz alone."""

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table_format import TableError
-from seqsweep.identify.table_write import write_table
-from seqsweep.sweep.plot import MAX_OVERLAID, SUFFIXES, _without_streaks, bode, bode_figure
-from seqsweep.sweep.show import LISTED_UP_TO, MIN_WIDTH, summary
+from seqsweep.identify.table.format import TableError
+from seqsweep.identify.table.write import write_table
+from seqsweep.sweep.report.bode import MAX_OVERLAID, SUFFIXES, _without_streaks, bode, bode_figure
+from seqsweep.sweep.report.summary import LISTED_UP_TO, MIN_WIDTH, summary
 
-from . import oracle
+from ..support import oracle
 
 F_HZ = np.geomspace(1.0, 990.0, 40)
 SIGNATURES = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}

@@ -13,10 +13,15 @@ from hypothesis import strategies as st
 from seqsweep.identify.admittance import solve_pn
 from seqsweep.identify.fourier import line
 from seqsweep.plant.protocol import Tone
-from seqsweep.sweep.crest import low_crest_phases
-from seqsweep.sweep.lines import SignalError, detection_lines, odd_lines
-from seqsweep.sweep.sequences import inverse_repeat, is_residue_length, maximum_length, quadratic_residue
-from seqsweep.sweep.signals import (
+from seqsweep.sweep.excitation.binary_sequences import (
+    inverse_repeat,
+    is_residue_length,
+    maximum_length,
+    quadratic_residue,
+)
+from seqsweep.sweep.excitation.crest_factor import low_crest_phases
+from seqsweep.sweep.excitation.odd_lines import SignalError, detection_lines, odd_lines
+from seqsweep.sweep.excitation.signals import (
     Signal,
     chirp,
     coherent_blocks,

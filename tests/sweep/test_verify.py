@@ -10,13 +10,15 @@ import jsonschema
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table
-from seqsweep.plant.events import Fault, GridStep, PowerStep, TurbineStep, WindStep
-from seqsweep.sweep import campaign, cli
-from seqsweep.sweep.config import Config
+from seqsweep.identify.table.read import read_table
+from seqsweep.plant.damping.events import Fault, GridStep, PowerStep, TurbineStep, WindStep
+from seqsweep.sweep.cli import main as cli
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.plan import make_plan
-from seqsweep.sweep.scenario import ScenarioError, Story, read_story
-from seqsweep.sweep.verify import (
+from seqsweep.sweep.run import campaign
+from seqsweep.sweep.verify.figure import plot, resonance_current, verification_figure
+from seqsweep.sweep.verify.scenario import ScenarioError, Story, read_story
+from seqsweep.sweep.verify.verify import (
     SCHEMA_FILE,
     VerifyError,
     cause_gone_of,
@@ -30,7 +32,6 @@ from seqsweep.sweep.verify import (
     tuned_of,
     verify,
 )
-from seqsweep.sweep.verify_plot import plot, resonance_current, verification_figure
 from seqsweep.tuning.result import write_json
 from seqsweep.tuning.siso import Grid
 from seqsweep.tuning.tune import tune

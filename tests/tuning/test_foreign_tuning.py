@@ -8,18 +8,18 @@ import sys
 import numpy as np
 import pytest
 
-from seqsweep.identify.table import read_table
-from seqsweep.sweep.config import Config
+from seqsweep.identify.table.read import read_table
+from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.confirm import sweep_with_damping
 from seqsweep.tuning.result import write_json
 from seqsweep.tuning.siso import Grid
 from seqsweep.tuning.tune import tune
 
-from .commands import call
+from ..support.commands import call
 
 MODULE = """
 import os, pathlib
-from seqsweep.plant.dpmsg import ReferenceTurbine
+from seqsweep.plant.turbine.reference import ReferenceTurbine
 with open(pathlib.Path(__file__).with_name('importers'), 'a') as file:
     print(os.getpid(), file=file)
 class Turbine(ReferenceTurbine):

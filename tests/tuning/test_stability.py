@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from seqsweep.identify.fit import fit_response
-from seqsweep.identify.rational import evaluate
+from seqsweep.identify.fit.model import fit_response
+from seqsweep.identify.fit.rational import evaluate
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.margins import (
     critical_scale,
@@ -29,8 +29,8 @@ from seqsweep.tuning.stability import (
     wind,
 )
 
-from . import oracle
-from .test_fit import F1_HZ, F_HZ, T_PN, U_V, W1, circuit, turbine
+from ..identify.test_fit import F1_HZ, F_HZ, T_PN, U_V, W1, circuit, turbine
+from ..support import oracle
 
 LINE = Grid(0.012, 0.25, F1_HZ)
 P_W = 0.65e6

@@ -13,21 +13,21 @@ import jsonschema
 import numpy as np
 import pytest
 
-from seqsweep.identify.fit import fit_response
-from seqsweep.identify.rational import evaluate_pn
+from seqsweep.identify.fit.model import fit_response
+from seqsweep.identify.fit.rational import evaluate_pn
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.table import read_table
-from seqsweep.identify.table_format import TableError
-from seqsweep.identify.table_write import write_table
+from seqsweep.identify.table.format import TableError
+from seqsweep.identify.table.read import read_table
+from seqsweep.identify.table.write import write_table
+from seqsweep.tuning.figures import bode_figure, locus_figure, plot_result, pole_figure
 from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
-from seqsweep.tuning.operating import grid_warnings, source_voltage_v
-from seqsweep.tuning.plot import bode_figure, locus_figure, plot_result, pole_figure
+from seqsweep.tuning.grid_check import grid_warnings, source_voltage_v
 from seqsweep.tuning.result import TuningResult, confirmed, format_table, schema, to_json, write_json
 from seqsweep.tuning.siso import Grid, parse_grid, siso
 from seqsweep.tuning.tune import tune, tune_point
 
-from . import oracle
-from .test_fit import F1_HZ, F_HZ, U_V, circuit, turbine
+from ..identify.test_fit import F1_HZ, F_HZ, U_V, circuit, turbine
+from ..support import oracle
 
 GRID = Grid(0.0168, 0.35, F1_HZ)
 """1.4 Z of Table I."""
@@ -420,7 +420,7 @@ def test_operating_point_without_a_fit_cannot_be_drawn(tmp_path: Path) -> None:
 
 def test_tuning_imports_nothing_heavy() -> None:
     code = (
-        "import sys, seqsweep.tuning.tune, seqsweep.tuning.plot, seqsweep.tuning.result\n"
+        "import sys, seqsweep.tuning.tune, seqsweep.tuning.figures, seqsweep.tuning.result\n"
         "print(*{m.partition('.')[0] for m in sys.modules})"
     )
     loaded = set(

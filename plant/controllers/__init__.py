@@ -1,0 +1,1 @@
+"""Sealed controllers, real-code libraries and FMUs, and how their signals are connected."""

@@ -1,0 +1,1 @@
+"""A sealed controller inside the circuit of the reference turbine."""

@@ -1,0 +1,1 @@
+"""How a plant's state is kept, so that many runs branch from it: snapshots, replays from cold, forks."""

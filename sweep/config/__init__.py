@@ -1,0 +1,1 @@
+"""The configuration of a campaign: its sections, its file and its checks."""

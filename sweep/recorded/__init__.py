@@ -1,0 +1,1 @@
+"""The `identify` command: from files of recordings to a table."""

@@ -1,0 +1,1 @@
+"""Running a plan: batches through joblib, child processes, shards on disk, the table at the end."""

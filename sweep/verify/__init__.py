@@ -1,0 +1,1 @@
+"""A tuned device in the time domain, with and without damping control."""
