@@ -107,7 +107,7 @@ def manifest() -> Manifest:
 
 def truth() -> dict[str, Any]:
     """The admittance (S, pn frame, load direction) from the linearisation of the tests; twelve digits."""
-    sys.path.insert(0, str(HERE.parent / "tests"))
+    sys.path.insert(0, str(HERE.parent / "tests" / "support"))
     import oracle
 
     names = ("pp", "pn", "np", "nn")

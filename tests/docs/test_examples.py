@@ -13,7 +13,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
-SOURCES = EXAMPLES.parent / "tests" / "boxes"
+SOURCES = EXAMPLES.parent / "tests" / "support" / "boxes"
 
 
 def output_of(*command: str, cwd: Path) -> str:

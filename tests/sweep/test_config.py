@@ -14,7 +14,7 @@ from seqsweep.sweep.config import file as module
 from seqsweep.sweep.config.sections import Config, ConfigError, load_config
 
 ROOT = Path(__file__).parents[2]
-TEMPLATE = ROOT / "sweep" / "campaign_template.toml"
+TEMPLATE = ROOT / "sweep" / "config" / "template.toml"
 EXAMPLE = ROOT / "examples" / "table1.toml"
 
 GOOD = """\
