@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf, log
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,12 @@ BEST = 1.5
 
 NOISY_WINDOWS = 6
 """Fewest windows from which the scatter of a noisy shot is taken."""
+
+EXCITED = 1e-6
+"""Share of the response from which on a mode counts as excited: less of it is below what a row's own error hides."""
+
+ROUNDING = 1e-12
+"""Agreement of two windows is not believed to be better than this."""
 
 
 class Settled(NamedTuple):
@@ -102,6 +109,51 @@ def steady_mean(v: np.ndarray, i: np.ndarray, uncertainty: float) -> Settled:
     middle = (first + n) // 2
     growth = _growth(i[first:middle].mean(axis=0), i[middle:].mean(axis=0))
     return Settled(v[first:], i[first:], error, n - 1, at_rest, bool(at_rest and error <= uncertainty), growth)
+
+
+def shown_by(shot: Settled, window_s: float) -> tuple[float, float]:
+    """Agreement of the two stretches that say a shot is at rest, and the length of one of them (s).
+
+    Two windows of a quiet shot; the two halves of what counts of a noisy one, whose means scatter.
+    """
+    if len(shot.v) > 1:
+        return 2.0 * STEADY_LIMIT * shot.residual, 0.5 * len(shot.v) * window_s
+    return shot.residual, window_s
+
+
+def growth_bound(agreement: float, stretch_s: float, disturbed_s: float, farthest_rad_s: float) -> float:
+    """Fastest growth (1/s) that a mode of the device can have without the end of a perturbed run showing it.
+
+    A mode exp(p t) that contributes the share e0 = `EXCITED` of Y at the tone is set going with that share of the
+    response when the tone begins. A stretch of length W hears the part (e^zW - 1) / (zW) of it, z = p - j w_tone, and
+    two successive stretches, the later of which ends at T, differ by at least
+
+        e0 (e^gW - 1)^2 e^(g (T - 2 W)) / (|z| W)  >=  e0 e^(g T) / (4 |z| W)    for g = Re p >= ln 2 / W.
+
+    They were seen to agree within r of the later one, in which the mode itself has at most twice that difference, so
+    that g <= ln(4 r / (1 - 2 r) |z| W / e0) / T, or g < ln 2 / W.
+
+    Parameters
+    ----------
+    agreement : float
+        Relative difference r of two successive stretches at the end of the run.
+    stretch_s : float
+        Length W of one of them (s).
+    disturbed_s : float
+        Time T from the beginning of the perturbation, or of the record, to the end of the later one (s).
+    farthest_rad_s : float
+        Largest distance |z| between the tone and a mode that is asked about (rad/s).
+
+    Returns
+    -------
+    float
+        The bound; infinite where the stretches hardly agree at all.
+    """
+    if not agreement < 0.5:
+        return inf
+    difference = max(agreement, ROUNDING) / (1.0 - 2.0 * agreement)
+    level = 4.0 * difference * farthest_rad_s * stretch_s / EXCITED
+    return max(log(level) / disturbed_s if level > 1.0 else 0.0, log(2.0) / stretch_s)
 
 
 def trend(x: np.ndarray) -> tuple[float, float]:

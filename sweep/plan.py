@@ -31,7 +31,7 @@ from .excitation.choice import broadband
 from .excitation.frequencies import Block, Frequency, coherent_block, generated, listed
 from .excitation.signals import AXES, Axis, Signal, negated, tones
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 """Part of every hash: raise it when the same shot gives another number."""
 
 EXPECTED_WINDOWS = 3.0

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ..frames import to_frame
+from ..operating_state import stated
 from ..response import Frame, FrequencyResponse
-from ..table.format import TableError, complete_metadata
+from ..table.format import CARRIED, TableError, complete_metadata
 from ..table.rules import metadata_violations, row_violations
 from ..table.write import rows_of
 from .facts import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
@@ -54,13 +55,16 @@ def _point(sheet: Sheet, facts: Facts, number: int, n_sheets: int) -> dict[str, 
     """Metadata of an operating point; what nobody knows is null, and a single one may be named by the user."""
     given = {key: facts.get(key) for key in ("op_id", "active_power_mw", "terminal_voltage_pu")}
     said = {key: sheet.point.get(key) for key in given}
+    known = {key: sheet.point[key] for key in CARRIED if key in sheet.point}
+    if facts.get("stable_on") is not None:
+        known["stable_on"] = stated(facts["stable_on"])
     if n_sheets == 1:
         said.update({key: value for key, value in given.items() if value is not None})
     elif any(value is not None for value in given.values()):
         raise ExchangeError(
             "the file holds several operating points; their names and values are its own: leave them out"
         )
-    return {**said, "op_id": str(said["op_id"] or f"imported{number if n_sheets > 1 else ''}")}
+    return {**said, **known, "op_id": str(said["op_id"] or f"imported{number if n_sheets > 1 else ''}")}
 
 
 def _response(sheet: Sheet, point: dict[str, Any], facts: Facts, path: str | Path) -> FrequencyResponse:

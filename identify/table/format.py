@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 FORMAT = "seqsweep-admittance"
-VERSION = "1.0.0"
+VERSION = "1.1.0"
 METADATA_KEY = b"seqsweep"
 
 MIRROR = "f_mirror_hz = 2 f1_hz - f_hz, signed; the second component is the conjugate of the phasor found there"
@@ -34,6 +34,9 @@ _REQUIRED = {"f1_hz", "bases", "power_meaning", "operating_points", "configurati
 _FIXED = {"format": FORMAT, "version": VERSION, "frame": "pn", "mirror": MIRROR, "direction": DIRECTION}
 _BASES = {"rated_voltage_v", "rated_power_va"}
 _POINT = {"op_id", "active_power_mw", "terminal_voltage_pu"}
+CARRIED = ("stable_on", "fundamental")
+"""Facts of an operating point that a response may carry in its ``meta``."""
+
 _OPTIONAL = {*_FIXED, "configuration_sha256", "tool", "seeds", "sha256"}
 
 
@@ -92,6 +95,13 @@ def complete_metadata(meta: Mapping[str, Any]) -> dict[str, Any]:
     completed["bases"] = {**meta["bases"], "amplitude_pu": AMPLITUDE_PU}
     completed["configuration_sha256"] = content_hash(meta["configuration"])
     return {**json.loads(canonical_json(completed)), "sha256": metadata_hash(completed)}
+
+
+def with_facts(meta: Mapping[str, Any], facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Completed metadata with further facts of its operating points, by op_id, and the hash made anew."""
+    points = [{**point, **facts.get(point["op_id"], {})} for point in meta["operating_points"]]
+    changed = {**meta, "operating_points": points}
+    return {**changed, "sha256": metadata_hash(changed)}
 
 
 def _check_points(points: Sequence[Mapping[str, Any]]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from ..files import atomic_file
 from ..response import FrequencyResponse
 from .format import (
+    CARRIED,
     COLUMNS,
     ELEMENTS,
     METADATA_KEY,
@@ -27,6 +28,7 @@ from .format import (
     joined,
     pack_covariance,
     std_of,
+    with_facts,
 )
 
 
@@ -40,7 +42,8 @@ def write_table(path: str | Path, responses: Iterable[FrequencyResponse], meta: 
     responses : iterable of FrequencyResponse
         In the order of ``meta["operating_points"]``, named by their ``meta["op_id"]``, in the pn
         frame, equally long. May be a generator: at most `ROW_GROUP_ROWS` rows and one response
-        are held at a time, and the bytes do not depend on how the rows arrive.
+        are held at a time, and the bytes do not depend on how the rows arrive. Facts that a response's
+        ``meta`` carries (`format.CARRIED`) go into its entry of ``operating_points``.
     meta : mapping
         ``f1_hz``, ``bases`` (rated_voltage_v, rated_power_va), ``power_meaning``,
         ``operating_points``, ``configuration``, ``plant``, and ``seeds`` where there are any; see
@@ -64,6 +67,7 @@ def _write(file: BinaryIO, responses: Iterable[FrequencyResponse], meta: Mapping
     schema = _arrow_schema()
     strings = [column.name for column in COLUMNS if column.kind == "string"]
     doubles = [_leaf(column) for column in COLUMNS if column.kind != "string"]
+    facts: dict[str, dict[str, Any]] = {}
     with pq.ParquetWriter(
         file,
         schema,
@@ -72,9 +76,16 @@ def _write(file: BinaryIO, responses: Iterable[FrequencyResponse], meta: Mapping
         use_byte_stream_split=doubles,
         write_page_checksum=True,
     ) as writer:
-        for group in _row_groups(_checked(responses, meta), schema):
+        for group in _row_groups(_noted(_checked(responses, meta), facts), schema):
             writer.write_table(group, row_group_size=ROW_GROUP_ROWS)
-        writer.add_key_value_metadata({METADATA_KEY: canonical_json(meta).encode()})
+        writer.add_key_value_metadata({METADATA_KEY: canonical_json(with_facts(meta, facts)).encode()})
+
+
+def _noted(responses: Iterable[FrequencyResponse], facts: dict[str, dict[str, Any]]) -> Iterator[FrequencyResponse]:
+    """Pass the responses on, and note by op_id which facts they carry: they come one by one, the metadata last."""
+    for response in responses:
+        facts[response.meta["op_id"]] = {key: response.meta[key] for key in CARRIED if key in response.meta}
+        yield response
 
 
 def _leaf(column: Column) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,10 +16,14 @@ from .shared import (
     CampaignFile,
     Force,
     Settings,
+    StableOn,
     TableFile,
     check_outputs,
     planned_of,
 )
+
+if TYPE_CHECKING:
+    from ...identify.response import FrequencyResponse
 
 
 def tune(
@@ -29,6 +35,7 @@ def tune(
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="TUNING.json", help="Write JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode, locus and poles: .png, .svg, .pdf.")] = None,
     confirm: Annotated[bool, typer.Option("--confirm", help="Sweep again with damping and iterate k.")] = False,
+    stable_on: StableOn = None,
     jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm.")] = os.cpu_count() or 1,
     force: Force = False,
 ) -> None:
@@ -40,6 +47,8 @@ def tune(
 
     check_outputs(output, force, plot)
     content = read_table(table)
+    if stable_on is not None:
+        content = replace(content, responses=_stated(content.responses, stable_on))
     result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
     if confirm:
         from ..confirm import confirm as confirm_gain
@@ -54,6 +63,14 @@ def tune(
         from ...tuning.figures import plot_result
 
         plot_result(result, plot, result.worst.op_id)
+
+
+def _stated(responses: Sequence[FrequencyResponse], stable_on: str) -> tuple[FrequencyResponse, ...]:
+    """The responses of a table with what the user knows of the device."""
+    from ...identify.operating_state import stated, with_statement
+
+    fact = stated(stable_on)
+    return tuple(with_statement(response, fact) for response in responses)
 
 
 def verify(

@@ -13,6 +13,7 @@ from .shared import (
     CampaignFile,
     Force,
     Settings,
+    StableOn,
     TableFile,
     WrongInput,
     check_folder,
@@ -32,6 +33,7 @@ def identify(
     rated_voltage_v: Annotated[float | None, typer.Option(metavar="V", help="Base, line-to-line RMS.")] = None,
     rated_power_va: Annotated[float | None, typer.Option(metavar="VA", help="Base.")] = None,
     op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
+    stable_on: StableOn = None,
     jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
     force: Force = False,
 ) -> None:
@@ -40,7 +42,9 @@ def identify(
     from ..recorded.identify import request_of
 
     check_new(output, force)
-    request = request_of(files, manifest, channels, direction, f1, sample_rate, (rated_voltage_v, rated_power_va), op)
+    request = request_of(
+        files, manifest, channels, direction, f1, sample_rate, (rated_voltage_v, rated_power_va), op, stable_on
+    )
     outcome = identify_recordings(request, output, jobs=jobs, say=lambda text: typer.echo(text, err=True))
     report_statuses(output, outcome.statuses)
     if not outcome.all_ok:
@@ -86,6 +90,7 @@ def import_command(
     active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
     terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
     variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix in a .mat file.")] = None,
+    stable_on: StableOn = None,
     force: Force = False,
 ) -> None:
     """Make a table of another tool's file. What the file does not say, an option must; nothing is assumed."""
@@ -106,6 +111,7 @@ def import_command(
         "active_power_mw": active_power_mw,
         "terminal_voltage_pu": terminal_voltage_pu,
         "variable": variable,
+        "stable_on": stable_on,
     }
     found = format_of(file, kind)
     check_new(output, force)

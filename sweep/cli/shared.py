@@ -23,6 +23,10 @@ TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A tabl
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="a.b=c", help="Replace a value of the campaign; repeatable.")
 ]
+StableOn = Annotated[
+    str | None,
+    typer.Option(metavar="ideal|R+jX", help="Source, or grid in ohm at f1, on which the device was seen to be stable."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 
 

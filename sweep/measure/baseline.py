@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...identify.fourier import harmonics, line, taper
+from ...identify.operating_state import fundamental_facts
 from ...identify.settling import SETTLED_LIMIT, period_change, trend
 from ...plant.protocol import Job, Plant, Record
 from ..excitation.frequencies import Block
@@ -54,8 +55,8 @@ class Baseline(NamedTuple):
         Change over one block, relative to the peak.
     noisy : bool
         Whether it changes by more than a quiet device does.
-    terminal_voltage_v : float
-        |v_pcc|, line-to-line RMS (V).
+    fundamental : mapping of str to float
+        `fundamental_facts` of it.
     """
 
     state: Any
@@ -67,7 +68,7 @@ class Baseline(NamedTuple):
     phi1: float
     change: float
     noisy: bool
-    terminal_voltage_v: float
+    fundamental: dict[str, float]
 
 
 class Unsettled(Exception):
@@ -94,7 +95,7 @@ def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
         ((_, record),) = run(plant, [Job(state, None)], NOISY_BLOCKS * steps)
         _refuse_drift(record, plan.block, change)
     v, i = (_mean_block(x, steps) if noisy else x[:steps] for x in (record.v, record.i))
-    fundamental = line(v, plan.f1_hz, record.t0_s, plan.dt_s)
+    v1, i1 = (line(x, plan.f1_hz, record.t0_s, plan.dt_s) for x in (v, i))
     return Baseline(
         state=state,
         v=harmonics(v, record.t0_s, plan.dt_s),
@@ -102,10 +103,10 @@ def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
         v_variance=_variance(record.v, steps) if noisy else np.zeros(steps),
         i_variance=_variance(record.i, steps) if noisy else np.zeros(steps),
         t0_s=record.t0_s,
-        phi1=float(np.angle(fundamental)),
+        phi1=float(np.angle(v1)),
         change=change,
         noisy=noisy,
-        terminal_voltage_v=abs(fundamental) * 1.5**0.5,
+        fundamental=fundamental_facts(v1, i1),
     )
 
 

@@ -33,9 +33,14 @@ def reached(plant: Plant, source: Source, condition: Condition) -> tuple[Source,
     if condition.grid is None:
         return source, OperatingPoint(condition.active_power_w, condition.terminal_voltage_v)
     voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid)
-    if source.kind == "thevenin":
-        source = Source("thevenin", condition.grid.r_ohm, condition.grid.l_h)
-    return source, OperatingPoint(condition.active_power_w, voltage_v)
+    return feeding(source, condition), OperatingPoint(condition.active_power_w, voltage_v)
+
+
+def feeding(source: Source, condition: Condition) -> Source:
+    """The source that feeds the PCC at ``condition``: a Thevenin source of one with its own grid *is* that grid."""
+    if source.kind == "ideal" or condition.grid is None:
+        return source
+    return Source("thevenin", condition.grid.r_ohm, condition.grid.l_h)
 
 
 def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid) -> float:

@@ -22,6 +22,7 @@ from ..run.child import reason_of
 from .baseline import Baseline, Unsettled, baseline
 from .broadband import drive_broadband
 from .linearity import compared, covariance_of
+from .proof import proven
 from .rows import BatchResult, Row, blank_row, failed_batch, with_admittance
 from .tones import drive
 
@@ -56,7 +57,7 @@ def measure(plant: Plant, plan: Plan, batch: Batch) -> BatchResult:
         return failed_batch(plan, batch, "not_settled", str(drift))
     except Exception as error:
         return failed_batch(plan, batch, "failed", reason_of(error))
-    condition = {"settle_residual": base.change, "terminal_voltage_v": base.terminal_voltage_v}
+    condition = {"settle_residual": base.change, **base.fundamental}
     return BatchResult(tuple(_rows(plant, plan, batch, base)), condition)
 
 
@@ -105,7 +106,13 @@ def _row(plan: Plan, point: Frequency, pair: Pair, base: Baseline, plant: Plant)
     v, i = (np.array([x.mean(axis=0) for x in of]) for of in ([s.v for s in pair], [s.i for s in pair]))
     residual = max(s.residual for s in pair) if _finite(v, i) else nan
     status, reason = _judge_response(plan, point, pair, v, i, plant)
-    row = replace(blank_row(plan, point, status, reason), residual=residual if isfinite(residual) else nan)
+    bound_per_s, lasted_s = proven(plan, point, pair)
+    row = replace(
+        blank_row(plan, point, status, reason),
+        residual=residual if isfinite(residual) else nan,
+        growth_bound_per_s=bound_per_s,
+        disturbed_s=lasted_s,
+    )
     if status not in ("ok", "noisy"):
         return row
     try:

@@ -30,6 +30,9 @@ class Row:
         As in the table.
     amplitude_pu, n_periods, window_s, cond_v, linearity, residual : float
         As in the table.
+    growth_bound_per_s, disturbed_s : float
+        Fastest growth (1/s) of a mode that the row's shots would not have shown, and for how long (s) they were
+        perturbed; NaN where they prove nothing.
     """
 
     f_hz: float
@@ -43,6 +46,8 @@ class Row:
     cond_v: float
     linearity: float
     residual: float
+    growth_bound_per_s: float = nan
+    disturbed_s: float = nan
 
     @property
     def admittance(self) -> np.ndarray:
@@ -53,7 +58,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """Rows of a batch and what was seen of its operating point (`settle_residual`, |v_pcc|)."""
+    """Rows of a batch and what was seen of its operating point: how still it stood, and its fundamental."""
 
     rows: tuple[Row, ...]
     condition: dict[str, float]

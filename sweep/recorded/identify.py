@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import nan
+from math import nan, pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...identify.operating_state import fundamental_facts, stated
 from ...identify.recorded.points import SLIP, Experiment, Point, broadband_points, points_of
 from ...identify.response import FrequencyResponse
+from ...identify.settling import STEADY_LIMIT, growth_bound
 from ...identify.table.write import write_table
 from ...plant.protocol import Rating, SourceDirection
 from ...plant.recordings.channels import parse_channels
@@ -49,6 +51,8 @@ class Request:
         Bases; None: the manifest's, else what was recorded.
     op_id : str or None
         Name of the operating point.
+    stable_on : mapping or None
+        The source on which the device was recorded, as `operating_state.stated` gives it.
     """
 
     files: tuple[Path, ...]
@@ -59,6 +63,7 @@ class Request:
     sample_rate_hz: float | None = None
     rating: Rating | None = None
     op_id: str | None = None
+    stable_on: Mapping[str, Any] | None = None
 
 
 class Outcome(NamedTuple):
@@ -85,6 +90,7 @@ def request_of(
     sample_rate_hz: float | None,
     rating: tuple[float | None, float | None],
     op_id: str | None,
+    stable_on: str | None = None,
 ) -> Request:
     """The words of the command line as a `Request`; `IdentifyError` where one of them makes no sense."""
     if direction not in (None, "load", "generator"):
@@ -102,6 +108,7 @@ def request_of(
         sample_rate_hz=sample_rate_hz,
         rating=None if rating[0] is None or rating[1] is None else Rating(rating[0], rating[1]),
         op_id=op_id,
+        stable_on=None if stable_on is None else stated(stable_on),
     )
 
 
@@ -152,7 +159,7 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     points = _joined(points, broadband_points([r.broadband for r in results if r.broadband], f1_hz))
     rating = request.rating or (manifest.rating if manifest else _recorded_rating(seen, say))
     op_id = request.op_id or (manifest.op_id if manifest else "recorded")
-    response = _response(points, f1_hz, op_id)
+    response = _response(points, f1_hz, {"op_id": op_id, **_operating_state(request, points, seen)})
     write_table(output, [response], _metadata(request, manifest, tasks, response, rating, seen))
     left_out = sum(result.refusal is not None for result in results)
     return Outcome(dict(Counter(point.status for point in points)), left_out)
@@ -263,7 +270,33 @@ def _lost(f_hz: float) -> Point:
     return Point(f_hz, nothing, np.full((8, 8), nan), "failed", reason, nan, nan, nan, nan, nan)
 
 
-def _response(points: Sequence[Point], f1_hz: float, op_id: str) -> FrequencyResponse:
+def _operating_state(request: Request, points: Sequence[Point], seen: Sequence[Fundamental]) -> dict[str, Any]:
+    """The fundamental that the records have, and where they prove the device to be stable."""
+    v1 = np.median([abs(each.v1) for each in seen])  # the angle of a record's clock says nothing
+    i1 = np.array([each.i1 * abs(each.v1) / each.v1 for each in seen])
+    state: dict[str, Any] = {
+        "fundamental": fundamental_facts(complex(v1), complex(np.median(i1.real), np.median(i1.imag)))
+    }
+    if request.stable_on is not None:
+        state["stable_on"] = {**request.stable_on, **_proof(points)}
+    return state
+
+
+def _proof(points: Sequence[Point]) -> dict[str, Any]:
+    """How fast a mode may grow without the records showing it; nothing where none of them is steady."""
+    farthest_rad_s = 4.0 * pi * max(point.f_hz for point in points)
+    bounds = [
+        (growth_bound(STEADY_LIMIT * point.residual, 0.5 * point.window_s, point.window_s, farthest_rad_s), point)
+        for point in points
+        if point.status in ("ok", "noisy") and STEADY_LIMIT * point.residual < 0.5
+    ]
+    if not bounds:
+        return {}
+    bound, at = min(bounds, key=lambda each: each[0])
+    return {"basis": "recordings", "growth_bound_per_s": bound, "disturbed_s": at.window_s}
+
+
+def _response(points: Sequence[Point], f1_hz: float, meta: dict[str, Any]) -> FrequencyResponse:
     if not points:
         raise IdentifyError("no point above 0 Hz was found")
     return FrequencyResponse(
@@ -277,7 +310,7 @@ def _response(points: Sequence[Point], f1_hz: float, op_id: str) -> FrequencyRes
             name: np.array([getattr(p, name) for p in points])
             for name in ("amplitude_pu", "n_periods", "window_s", "cond_v", "residual")
         },
-        meta={"op_id": op_id},
+        meta=meta,
     )
 
 

@@ -27,6 +27,7 @@ from ..excitation.adaptive_rounds import certificate, certificate_text, next_rou
 from ..excitation.frequencies import Frequency
 from ..measure.linearity import judged
 from ..measure.measure import measure
+from ..measure.proof import stable_on
 from ..measure.rows import BatchResult, Row
 from ..plan import Batch, Condition, Plan
 from . import shards
@@ -381,7 +382,8 @@ def _shard(folder: Path, batch: Batch) -> BatchResult:
 
 
 def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyResponse:
-    """Rows of one operating point, ascending, as a response."""
+    """Rows of one operating point, ascending, as a response, with what its shots prove."""
+    proof = stable_on(plan, next(condition for condition in plan.conditions if condition.op_id == op_id), rows)
     parts = np.array([row.y for row in rows])
     return FrequencyResponse(
         f_hz=np.array([row.f_hz for row in rows]),
@@ -391,7 +393,7 @@ def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyRespons
         status=np.array([row.status for row in rows]),
         reason=np.array([row.reason for row in rows]),
         quality={name: np.array([getattr(row, name) for row in rows]) for name in QUALITY},
-        meta={"op_id": op_id},
+        meta={"op_id": op_id} if proof is None else {"op_id": op_id, "stable_on": proof},
     )
 
 
@@ -413,7 +415,8 @@ def _metadata(
 
 def _condition_metadata(condition: Condition, plant: Plant | PlantCard, seen: dict[str, float]) -> dict[str, Any]:
     """An operating point as the table tells of it; |v_pcc| is what was asked, else what was found."""
-    voltage_v = condition.terminal_voltage_v or seen.get("terminal_voltage_v")
+    fundamental = {key: value for key, value in seen.items() if key != "settle_residual"}
+    voltage_v = condition.terminal_voltage_v or fundamental.get("voltage_v")
     entry: dict[str, Any] = {
         "op_id": condition.op_id,
         "active_power_mw": condition.active_power_w / 1e6,
@@ -421,4 +424,6 @@ def _condition_metadata(condition: Condition, plant: Plant | PlantCard, seen: di
     }
     if "settle_residual" in seen:
         entry["settle_residual"] = seen["settle_residual"]
+    if fundamental:
+        entry["fundamental"] = fundamental
     return entry

@@ -100,7 +100,7 @@ def test_metadata_survives_and_is_completed(path: Path) -> None:
     given = metadata("p065", "p130")
     assert {key: meta[key] for key in given if key != "bases"} == {k: v for k, v in given.items() if k != "bases"}
     assert meta["bases"].items() > given["bases"].items()
-    assert (meta["format"], meta["version"], meta["frame"]) == ("seqsweep-admittance", "1.0.0", "pn")
+    assert (meta["format"], meta["version"], meta["frame"]) == ("seqsweep-admittance", "1.1.0", "pn")
     assert meta["configuration_sha256"] == table_format.content_hash(given["configuration"])
     assert table.read_metadata(path) == meta
 

@@ -205,5 +205,5 @@ def test_the_steady_state_is_seen_and_kept():
     plant = ReferenceTurbine()
     plan = planned(plant, source={"kind": "thevenin", "r_ohm": 0.012, "x_ohm": 0.25})
     seen = measure(plant, plan, next(iter(plan.batches()))).condition
-    assert seen["terminal_voltage_v"] == pytest.approx(690.0, rel=1e-9)
+    assert seen["voltage_v"] == pytest.approx(690.0, rel=1e-9)
     assert 0.0 <= seen["settle_residual"] <= 1e-9

@@ -83,7 +83,7 @@ def test_a_summary_says_what_was_measured_and_how_well(one: Path) -> None:
     text = " ".join(summary(one).split())
     for said in (
         "table one.parquet",
-        "format seqsweep-admittance 1.0.0, written by seqsweep",
+        "format seqsweep-admittance 1.1.0, written by seqsweep",
         "plant dpmsg-v1, 690 V, 1.632 MVA",
         "f1 50 Hz",
         "power power of the lossless converters",
