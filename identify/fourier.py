@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from ..plant.protocol import Phasors, Record, Window
 
 TAPER = (0.42, -0.5, 0.08)
@@ -56,12 +57,12 @@ def block_phasors(record: Record, window: Window, block_steps: int) -> Phasors:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the record does not hold whole blocks.
     """
     n = len(record.v)
     if n % block_steps:
-        raise ValueError(f"the record holds {n} samples; whole blocks of {block_steps} are needed")
+        raise SeqsweepError(f"the record holds {n} samples; whole blocks of {block_steps} are needed")
     length = window.n_blocks * block_steps
     weight = taper(length, window.first_block * block_steps, n) / length
     lines = (window.f_hz, 2.0 * record.f1_hz - window.f_hz)

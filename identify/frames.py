@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from .response import Frame, FrequencyResponse
 
 T = np.array([[1.0, 1.0j], [1.0, -1.0j]])
@@ -29,11 +30,11 @@ def to_frame(response: FrequencyResponse, frame: Frame) -> FrequencyResponse:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the frame is unknown.
     """
     if frame not in ("pn", "dq"):
-        raise ValueError(f"frame is {frame!r}; known: 'pn', 'dq'")
+        raise SeqsweepError(f"frame is {frame!r}; known: 'pn', 'dq'")
     if frame == response.frame:
         return response
     convert, shift = (pn_to_dq, -response.f1_hz) if frame == "dq" else (dq_to_pn, response.f1_hz)

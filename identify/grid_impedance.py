@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from ..plant.protocol import Injection, Record
 from .fourier import rotation
 
@@ -47,7 +48,7 @@ NOTEWORTHY = 0.01
 """Misfit, relative, up to which a grid still counts as R-L: it is told from noise earlier than it matters."""
 
 
-class GridImpedanceError(ValueError):
+class GridImpedanceError(SeqsweepError):
     """A record from which the grid's impedance cannot be told, with the way out."""
 
 

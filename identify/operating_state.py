@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from .response import FrequencyResponse
 
 
-class StatementError(ValueError):
+class StatementError(SeqsweepError):
     """A statement about an operating point that makes no sense, with the way out."""
 
 

@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
+
 Frame = Literal["pn", "dq"]
 STATUSES = ("ok", "not_settled", "nonlinear", "ill_conditioned", "noisy", "diverged", "failed")
 
@@ -39,7 +41,7 @@ class FrequencyResponse:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If shapes disagree, frequencies do not increase or a status is unknown.
     """
 
@@ -103,12 +105,12 @@ def _check(response: FrequencyResponse) -> None:
     for name, shape in expected.items():
         given = getattr(response, name).shape
         if given != shape:
-            raise ValueError(f"{name} has shape {given}; {n} frequencies need {shape}")
+            raise SeqsweepError(f"{name} has shape {given}; {n} frequencies need {shape}")
     for name, column in response.quality.items():
         if column.shape != (n,):
-            raise ValueError(f"quality[{name!r}] has shape {column.shape}; {n} frequencies need {(n,)}")
+            raise SeqsweepError(f"quality[{name!r}] has shape {column.shape}; {n} frequencies need {(n,)}")
     if np.any(np.diff(response.f_hz) <= 0):
-        raise ValueError("f_hz must increase strictly: sort it and remove duplicates")
+        raise SeqsweepError("f_hz must increase strictly: sort it and remove duplicates")
     unknown = sorted(set(np.asarray(response.status).tolist()) - set(STATUSES))
     if unknown:
-        raise ValueError(f"unknown status {unknown[0]!r}; known: {', '.join(STATUSES)}")
+        raise SeqsweepError(f"unknown status {unknown[0]!r}; known: {', '.join(STATUSES)}")

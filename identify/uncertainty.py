@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from .admittance import components
 from .response import FrequencyResponse
 
@@ -100,7 +101,7 @@ def student_factor(freedom: int) -> float:
     F(2, n) has the closed quantile (n/2) ((1 - level)^(-2/n) - 1), and chi^2(2) is -2 ln(1 - level).
     """
     if freedom < 1:
-        raise ValueError(f"{freedom} degrees of freedom: a variance needs at least two windows")
+        raise SeqsweepError(f"{freedom} degrees of freedom: a variance needs at least two windows")
     return float(freedom * ((1.0 - LEVEL) ** (-1.0 / freedom) - 1.0) / -np.log(1.0 - LEVEL))
 
 

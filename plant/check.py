@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from .errors import in_words
 from .protocol import (
     Injection,
     InjectionKind,
@@ -29,7 +30,6 @@ from .protocol import (
     Tone,
     Window,
 )
-from .registry import in_words
 
 _GATES = ("attributes", "settles", "samples", "finite")
 

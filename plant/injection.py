@@ -6,6 +6,7 @@ import cmath
 from collections.abc import Callable, Iterator
 from math import pi
 
+from .errors import SeqsweepError
 from .protocol import Injection, OperatingPoint, Source
 
 
@@ -14,13 +15,15 @@ def check_source(operating_point: OperatingPoint, source: Source) -> None:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         With what was given and what is needed.
     """
     if (operating_point.terminal_voltage_v is None) == (source.voltage_v is None):
-        raise ValueError("give either the operating point's terminal_voltage_v or the source's voltage_v, not both")
+        raise SeqsweepError("give either the operating point's terminal_voltage_v or the source's voltage_v, not both")
     if source.kind == "thevenin" and not (source.r_ohm >= 0.0 and source.l_h > 0.0):
-        raise ValueError(f"a Thevenin source needs r_ohm >= 0 and l_h > 0; got {source.r_ohm:g} ohm, {source.l_h:g} H")
+        raise SeqsweepError(
+            f"a Thevenin source needs r_ohm >= 0 and l_h > 0; got {source.r_ohm:g} ohm, {source.l_h:g} H"
+        )
 
 
 def series_tones(
@@ -42,13 +45,13 @@ def series_tones(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         For a shunt current into an ideal source.
     """
     if injection is None:
         return
     if injection.kind == "shunt_current" and source.kind == "ideal":
-        raise ValueError(
+        raise SeqsweepError(
             "shunt_current cannot perturb a PCC held by an ideal source: use series_voltage, or a thevenin source"
         )
     for tone in injection.tones:

@@ -12,7 +12,6 @@ asked for.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import inspect
 import json
@@ -24,6 +23,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from .errors import SeqsweepError, in_words, nearest
 from .protocol import OperatingRange, PhasorPlant, Plant, Rating
 
 ENTRY_POINT_GROUP = "seqsweep.plants"
@@ -41,14 +41,12 @@ _OF_A_CONTROLLER = ("controller", "inputs", "outputs", "settings", "sample_time_
 _BLACK_BOXES: set[str] = set()
 """Registered ids whose plants load foreign code."""
 
-_OURS = __name__.partition(".")[0]
-
 _PROMISES = ("id", "f1_hz", "dt_s", "rating", "operating_range", "power_meaning", "settle", "run")
 
 _targets: dict[str, str] = {}
 
 
-class PlantError(ValueError):
+class PlantError(SeqsweepError):
     """There is no such plant, or it cannot be made from these parameters."""
 
 
@@ -125,15 +123,15 @@ def register(plant_id: str, target: str, *, black_box: bool = False) -> None:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the id has no version, the target no colon, or the id names another target already.
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*-v[0-9]+", plant_id):
-        raise ValueError(f"plant id {plant_id!r} must be small letters and a version, such as 'branch-v1'")
+        raise SeqsweepError(f"plant id {plant_id!r} must be small letters and a version, such as 'branch-v1'")
     if not re.fullmatch(r"[\w.]+:\w+", target):
-        raise ValueError(f"target {target!r} must read 'module:attribute'")
+        raise SeqsweepError(f"target {target!r} must read 'module:attribute'")
     if _targets.setdefault(plant_id, target) != target:
-        raise ValueError(f"{plant_id} is {_targets[plant_id]} already; changed physics get a new version")
+        raise SeqsweepError(f"{plant_id} is {_targets[plant_id]} already; changed physics get a new version")
     if black_box:
         _BLACK_BOXES.add(plant_id)
 
@@ -262,7 +260,7 @@ def _target(plant_id: str) -> str:
             raise PlantError(f"{plant_id} must name something behind the colon")
         return _KINDS[kind]
     if colon:
-        raise PlantError(f"{plant_id}: unknown kind of plant {kind!r}{_did_you_mean(kind, ['python', *_KINDS])}")
+        raise PlantError(f"{plant_id}: unknown kind of plant {kind!r}{nearest(kind, ['python', *_KINDS])}")
     if plant_id in _targets:
         return _targets[plant_id]
     from importlib.metadata import entry_points
@@ -272,9 +270,7 @@ def _target(plant_id: str) -> str:
         return offered[plant_id]
     known = sorted({*_targets, *offered})
     kinds = ", ".join(["python:package.module:factory", *(f"{kind}:..." for kind in _KINDS)])
-    raise PlantError(
-        f"unknown plant {plant_id!r}{_did_you_mean(plant_id, known)}; known are {', '.join(known)}, {kinds}"
-    )
+    raise PlantError(f"unknown plant {plant_id!r}{nearest(plant_id, known)}; known are {', '.join(known)}, {kinds}")
 
 
 def _load(plant_id: str, target: str) -> Any:
@@ -284,9 +280,7 @@ def _load(plant_id: str, target: str) -> Any:
     except (Exception, SystemExit) as error:
         raise PlantError(f"{plant_id}: module {module_name} cannot be imported: {in_words(error)}") from error
     if not hasattr(module, attribute):
-        raise PlantError(
-            f"{plant_id}: module {module_name} has no {attribute!r}{_did_you_mean(attribute, dir(module))}"
-        )
+        raise PlantError(f"{plant_id}: module {module_name} has no {attribute!r}{nearest(attribute, dir(module))}")
     factory = getattr(module, attribute)
     if not callable(factory):
         raise PlantError(f"{plant_id}: {attribute} of {module_name} is a {type(factory).__name__}, not a factory")
@@ -324,7 +318,7 @@ def _refuse_unknown(plant_id: str, known: Sequence[str], arguments: Iterable[str
             )
         if name not in known:
             raise PlantError(
-                f"{plant_id} has no parameter {name!r}{_did_you_mean(name, known)}; it has {', '.join(known) or 'none'}"
+                f"{plant_id} has no parameter {name!r}{nearest(name, known)}; it has {', '.join(known) or 'none'}"
             )
 
 
@@ -333,22 +327,9 @@ def _refusal(plant_id: str, arguments: Mapping[str, Any], error: Exception) -> s
     words = in_words(error)
     accused = [name for name in arguments if repr(name) in words]
     mentioned = set(re.findall(r"\w+", words)) - set(arguments)
-    hint = _did_you_mean(accused[0], mentioned) if accused else ""
+    hint = nearest(accused[0], mentioned) if accused else ""
     head = "" if words.startswith(plant_id) else f"{plant_id} cannot be made: "
     return f"{head}{words}{hint}"
-
-
-def in_words(error: BaseException) -> str:
-    """What an error says; its class is told, too, where the text alone may be no sentence."""
-    text = " ".join(str(error).split())
-    ours = type(error).__module__.startswith(f"{_OURS}.")
-    is_clear = ours or isinstance(error, ValueError | ImportError | RuntimeError)
-    return text if text and is_clear else f"{type(error).__name__}: {text}".rstrip(": ")
-
-
-def _did_you_mean(given: str, known: Iterable[str]) -> str:
-    nearest = difflib.get_close_matches(given.lower(), sorted(known), n=1)
-    return f" (did you mean {nearest[0]!r}?)" if nearest else ""
 
 
 register("branch-v1", "seqsweep.plant.rl_branch:RLBranch")

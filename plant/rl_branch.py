@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .errors import SeqsweepError
 from .injection import check_source, series_tones, turns
 from .protocol import (
     Job,
@@ -83,7 +84,7 @@ class RLBranch:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If a parameter is not positive, or the step leaves fewer than ten samples per period.
     """
 
@@ -110,9 +111,9 @@ class RLBranch:
         }
         for name, value in given.items():
             if not (value > 0.0 and isfinite(value)):
-                raise ValueError(f"{name} is {value:g}; {self.id} needs a finite number above 0")
+                raise SeqsweepError(f"{name} is {value:g}; {self.id} needs a finite number above 0")
         if given["dt_s"] * given["f1_hz"] > 0.1:
-            raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs at most a tenth of a period, {0.1 / f1_hz:g} s")
+            raise SeqsweepError(f"dt_s is {dt_s:g} s; {self.id} needs at most a tenth of a period, {0.1 / f1_hz:g} s")
         self.r_ohm, self.l_h = given["r_ohm"], given["l_h"]
         self.dt_s, self.f1_hz = given["dt_s"], given["f1_hz"]
         self.rating = Rating(given["voltage_v"], given["power_va"])
@@ -125,7 +126,7 @@ class RLBranch:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If |v_pcc| is outside `operating_range`, or is said twice or not at all.
         """
         check_source(operating_point, source)
@@ -143,9 +144,11 @@ class RLBranch:
         low, high = (limit / self.rating.voltage_v for limit in self.operating_range.terminal_voltage_v)
         voltage_pu = terminal_voltage_v / self.rating.voltage_v
         if not low * (1 - 1e-9) <= voltage_pu <= high * (1 + 1e-9):
-            raise ValueError(f"|v_pcc| of {voltage_pu:g} pu is outside the range of {self.id}: {low:g} to {high:g} pu")
+            raise SeqsweepError(
+                f"|v_pcc| of {voltage_pu:g} pu is outside the range of {self.id}: {low:g} to {high:g} pu"
+            )
         if operating_point.active_power_w != operating_point.active_power_w:
-            raise ValueError(f"active power is not a number; {self.id} ignores it, but needs one")
+            raise SeqsweepError(f"active power is not a number; {self.id} ignores it, but needs one")
         return terminal_voltage_v * ratio
 
     def impedance(self, f_hz: float) -> complex:

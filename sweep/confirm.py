@@ -16,6 +16,7 @@ import numpy as np
 from ..identify.fit.model import fit_response
 from ..identify.fit.rational import evaluate_pn
 from ..identify.response import FrequencyResponse
+from ..plant.errors import SeqsweepError
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard
 from ..tuning.gain import GainSearch, search_gain
@@ -33,7 +34,7 @@ from .run.host import children, plant_or_card
 Report = Callable[[str], None]
 
 
-class ConfirmError(ValueError):
+class ConfirmError(SeqsweepError):
     """A table whose device cannot be swept again, with the way out."""
 
 

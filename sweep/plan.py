@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..identify.table.format import content_hash
+from ..plant.errors import SeqsweepError
 from ..plant.protocol import (
     Injection,
     InjectionKind,
@@ -60,7 +61,7 @@ PROBE_AMPLITUDE = 0.5
 """Amplitude of a probe, in parts of the sweep's."""
 
 
-class PlanError(ValueError):
+class PlanError(SeqsweepError):
     """A campaign that this plant cannot run, with the way out."""
 
 

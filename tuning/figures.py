@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate_pn
+from ..plant.errors import SeqsweepError
 from .intervals import NORMAL_95, relative_error_of_y1
 from .result import PointTuning, TuningResult, with_doubt
 from .siso import Grid, Siso, siso
@@ -33,7 +34,7 @@ def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If that operating point has no fit to draw.
     """
     point = result.worst if op_id is None else result.point(op_id)
@@ -79,7 +80,7 @@ def _figure(size: tuple[float, float]) -> Figure:
 
 def _fitted(point: PointTuning) -> tuple[RationalModel, Any]:
     if point.model is None or point.stability is None:
-        raise ValueError(f"operating point {point.op_id!r} has no fit to draw: {point.reason}")
+        raise SeqsweepError(f"operating point {point.op_id!r} has no fit to draw: {point.reason}")
     return point.model, point.stability
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from .siso import Grid
 from .stability import Admittance, Crossing, bode_crossings, critical_crossing
 
@@ -48,11 +49,11 @@ def gain_for_margin(m_now: float, m_required: float) -> float:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the required margin is not positive.
     """
     if not m_required > 0.0:
-        raise ValueError(f"the required margin m is {m_required:g}; it must be positive, e.g. 1.4")
+        raise SeqsweepError(f"the required margin m is {m_required:g}; it must be positive, e.g. 1.4")
     return max(0.0, 1.0 - m_now / m_required)
 
 

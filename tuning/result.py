@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..identify.fit.rational import RationalModel
+from ..plant.errors import SeqsweepError
 from .gain import GainSearch
 from .intervals import NORMAL_95, Interval
 from .margins import LocusMargins, Participation
@@ -135,7 +136,7 @@ class TuningResult:
             if point.op_id == op_id:
                 return point
         known = ", ".join(p.op_id for p in self.points)
-        raise ValueError(f"no operating point {op_id!r} in the tuning result; it has {known}")
+        raise SeqsweepError(f"no operating point {op_id!r} in the tuning result; it has {known}")
 
 
 def confirmed(result: TuningResult, op_id: str, search: GainSearch) -> TuningResult:

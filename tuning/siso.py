@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.response import FrequencyResponse
+from ..plant.errors import SeqsweepError
 
 _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -28,7 +29,7 @@ class Grid:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If R is negative, or X or f1 is not positive.
     """
 
@@ -39,7 +40,7 @@ class Grid:
     def __post_init__(self) -> None:
         finite = np.isfinite([self.r_ohm, self.x_ohm, self.f1_hz]).all()
         if not finite or self.r_ohm < 0.0 or self.x_ohm <= 0.0 or self.f1_hz <= 0.0:
-            raise ValueError(
+            raise SeqsweepError(
                 f"grid {self.r_ohm:g}{self.x_ohm:+g}j ohm at {self.f1_hz:g} Hz: need R >= 0, X > 0 and f1 > 0; "
                 "give R + jX in ohm at the fundamental, e.g. 0.012+0.25j"
             )
@@ -80,9 +81,9 @@ def parse_grid(text: str, f1_hz: float, scale: float = 1.0) -> Grid:
     try:
         z = complex(re.sub(r"j([\d.]+(?:e[+-]?\d+)?)$", r"\1j", plain, flags=re.IGNORECASE))
     except ValueError:
-        raise ValueError(f"grid {text!r} is not R+jX in ohm at f1; write it as 0.012+0.25j") from None
+        raise SeqsweepError(f"grid {text!r} is not R+jX in ohm at f1; write it as 0.012+0.25j") from None
     if not (np.isfinite(scale) and scale > 0.0):
-        raise ValueError(f"scale {scale:g} must be positive: it multiplies the grid impedance")
+        raise SeqsweepError(f"scale {scale:g} must be positive: it multiplies the grid impedance")
     return Grid(z.real * scale, z.imag * scale, f1_hz)
 
 
@@ -134,11 +135,11 @@ def siso_of_response(response: FrequencyResponse, grid: Grid) -> Siso:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the response is not in the pn frame, or its fundamental is not the grid's.
     """
     if response.frame != "pn":
-        raise ValueError(f"SISO equivalents need the pn frame, but the response is in {response.frame!r}")
+        raise SeqsweepError(f"SISO equivalents need the pn frame, but the response is in {response.frame!r}")
     check_fundamental(response.f1_hz, grid)
     y = np.where(response.ok[:, None, None], response.y, np.nan)
     return siso(response.f_hz, y, grid)
@@ -147,6 +148,6 @@ def siso_of_response(response: FrequencyResponse, grid: Grid) -> Siso:
 def check_fundamental(f1_hz: float, grid: Grid) -> None:
     """Refuse a grid whose reactance is given at another fundamental than the table's."""
     if f1_hz != grid.f1_hz:
-        raise ValueError(
+        raise SeqsweepError(
             f"the table's fundamental is {f1_hz:g} Hz, the grid's {grid.f1_hz:g} Hz: give R + jX at the table's f1"
         )

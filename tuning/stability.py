@@ -142,7 +142,7 @@ def judge(model: RationalModel, grid: Grid) -> Stability:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the fundamental of the model is not the grid's.
     """
     check_fundamental(model.f1_hz, grid)

@@ -13,6 +13,7 @@ from ..identify.fit.model import MIN_POINTS, fit_response
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
+from ..plant.errors import SeqsweepError
 from .gain import gain_for_margin, predicted_crossing
 from .grid_check import grid_warnings
 from .intervals import margin_interval, scale_interval
@@ -55,7 +56,7 @@ def tune(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If there is no operating point, or two fundamentals, or not the grid's; if the margin is not positive.
     """
     responses, meta = _opened(table)
@@ -196,23 +197,23 @@ def _chosen(responses: Sequence[FrequencyResponse], op_ids: Iterable[str] | None
     wanted = list(op_ids)
     if unknown := [op_id for op_id in wanted if op_id not in by_id]:
         known = ", ".join(str(op_id) for op_id in by_id)
-        raise ValueError(f"no operating point {unknown[0]!r} in the table; it has {known}")
+        raise SeqsweepError(f"no operating point {unknown[0]!r} in the table; it has {known}")
     return [by_id[op_id] for op_id in wanted]
 
 
 def _check(responses: Sequence[FrequencyResponse], grid: Grid, margin: float) -> None:
     if not responses:
-        raise ValueError("the table holds no operating point")
+        raise SeqsweepError("the table holds no operating point")
     if not margin > 0.0:
-        raise ValueError(f"the required margin m is {margin:g}; it must be positive, e.g. 1.4")
+        raise SeqsweepError(f"the required margin m is {margin:g}; it must be positive, e.g. 1.4")
     fundamentals = sorted({response.f1_hz for response in responses})
     if len(fundamentals) > 1:
         text = ", ".join(f"{f1:g}" for f1 in fundamentals)
-        raise ValueError(f"the table holds {len(fundamentals)} fundamentals ({text} Hz): tune them one by one")
+        raise SeqsweepError(f"the table holds {len(fundamentals)} fundamentals ({text} Hz): tune them one by one")
     check_fundamental(fundamentals[0], grid)
     for response in responses:
         if response.frame != "pn":
-            raise ValueError(f"{response.meta.get('op_id')}: tuning reads the pn frame, given is {response.frame!r}")
+            raise SeqsweepError(f"{response.meta.get('op_id')}: tuning reads the pn frame, given is {response.frame!r}")
 
 
 def _swept_grids(meta: Mapping[str, Any]) -> dict[Any, Mapping[str, Any]]:

@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
+
 MAX_BYTES = 128 * 2**20
 """Largest file, and largest content of a compressed one, that is read."""
 
@@ -61,7 +63,7 @@ TABLE_FACTS = ("frame", "direction", "f1_hz", "quantity", "rated_voltage_v", "ra
 Facts = Mapping[str, Any]
 
 
-class ExchangeError(ValueError):
+class ExchangeError(SeqsweepError):
     """A file that cannot become a table, or a response that a format cannot hold; one line, whatever the file holds."""
 
     def __init__(self, text: str):

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
 from ..frames import dq_to_pn
 from ..response import FrequencyResponse
 from .aaa import interpolants, poles
@@ -149,14 +150,14 @@ def band_of(f_min_hz: float, f_max_hz: float, f1_hz: float) -> tuple[float, floa
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If nothing is left of the band.
     """
     ends = abs(f_min_hz - f1_hz), abs(f_max_hz - f1_hz)
     inside = f_min_hz < f1_hz < f_max_hz
     low, high = (NEAREST_HZ, max(ends)) if inside else (max(min(ends), NEAREST_HZ), max(ends))
     if not low < high:
-        raise ValueError(
+        raise SeqsweepError(
             f"the band from {f_min_hz:g} to {f_max_hz:g} Hz lies within {NEAREST_HZ:g} Hz of f1 = {f1_hz:g} Hz: "
             "widen it"
         )
@@ -228,12 +229,12 @@ def interpolate(response: FrequencyResponse, f_hz: np.ndarray) -> np.ndarray:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If there are too few usable rows.
     """
     surrogate = surrogate_of(response)
     if surrogate is None:
-        raise ValueError(f"fewer than {MIN_ROWS} rows are usable: nothing to interpolate")
+        raise SeqsweepError(f"fewer than {MIN_ROWS} rows are usable: nothing to interpolate")
     return dq_to_pn(evaluate(surrogate.model, 2j * np.pi * (np.asarray(f_hz, dtype=float) - response.f1_hz)))
 
 

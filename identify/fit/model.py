@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
 from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
@@ -64,7 +65,7 @@ def fit_response(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If fewer than `MIN_POINTS` usable rows are there.
 
     Notes
@@ -75,7 +76,7 @@ def fit_response(
     """
     data = to_dq(response)
     if len(data.nu_hz) < MIN_POINTS:
-        raise ValueError(
+        raise SeqsweepError(
             f"{len(data.nu_hz)} of {len(response)} rows are usable; a rational model needs at least {MIN_POINTS}: "
             "sweep more frequencies, or repair the rows whose status is not 'ok'"
         )

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
 from ...plant.protocol import Record
 
 RANK = 1e-12
@@ -103,7 +104,7 @@ def project(waveforms: Waveforms, start: int, stop: int, lines_hz: np.ndarray, n
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If fewer than two whole segments remain.
     """
     n_segments = (stop - start) // n_steps
@@ -121,7 +122,7 @@ def project(waveforms: Waveforms, start: int, stop: int, lines_hz: np.ndarray, n
     t_s = (np.arange(n_segments) - 0.5 * (n_segments - 1)) * n_steps * waveforms.dt_s
     whole = np.all(np.isfinite(z), axis=(1, 2))
     if np.count_nonzero(whole) < 2:
-        raise ValueError(f"{np.count_nonzero(whole)} whole segments of {n_steps} samples; two are needed at least")
+        raise SeqsweepError(f"{np.count_nonzero(whole)} whole segments of {n_steps} samples; two are needed at least")
     dropped = int(np.count_nonzero(~whole))
     return Segments(z[whole], t_s[whole], np.asarray(lines_hz), n_steps, waveforms.dt_s, centre_s, dropped)
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
 from .line_fit import (
     Line,
     Phases,
@@ -61,7 +62,7 @@ TRANSIENT = 6.0
 F1_BAND_HZ = (10.0, 400.0)
 
 
-class HearingError(ValueError):
+class HearingError(SeqsweepError):
     """A stretch in which the experiment cannot be heard, with the reason."""
 
 

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
+
 FORMAT = "seqsweep-admittance"
 VERSION = "1.1.0"
 METADATA_KEY = b"seqsweep"
@@ -40,7 +42,7 @@ CARRIED = ("stable_on", "fundamental")
 _OPTIONAL = {*_FIXED, "configuration_sha256", "tool", "seeds", "sha256"}
 
 
-class TableError(ValueError):
+class TableError(SeqsweepError):
     """A file that is not a readable table, or rows and metadata that cannot become one."""
 
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from ..errors import SeqsweepError
 from ..injection import series_tones
 from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from ..states.forks import Action, Way
@@ -132,7 +133,7 @@ class DrivenPlant:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If ``hold`` is neither.
     """
 
@@ -145,7 +146,7 @@ class DrivenPlant:
         hold: str = "start",
     ):
         if hold not in HOLDS:
-            raise ValueError(f"hold is {hold!r}; needed: {', '.join(HOLDS)}")
+            raise SeqsweepError(f"hold is {hold!r}; needed: {', '.join(HOLDS)}")
         self._hold = hold
         self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
         self.contents = {**(contents or {}), "held_late_s": 0.5 * self.dt_s if hold == "start" else 0.0}
@@ -157,14 +158,14 @@ class DrivenPlant:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the operating point is outside the range, or the source is not ideal.
         NotSettled
             If the current does not repeat within the patience.
         """
         voltage_v = voltage_asked(operating_point, source, self.operating_range, self.rating, self.id)
         if source.kind != "ideal":
-            raise ValueError(
+            raise SeqsweepError(
                 f"{self.id} goes forwards only: it stands on an ideal source, where its admittance is the same; "
                 'give [source] kind = "ideal"'
             )

@@ -41,7 +41,7 @@ def process_plant(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the command cannot be started.
     PeerError
         If what answers does not speak this protocol.

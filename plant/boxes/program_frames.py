@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import SeqsweepError
 from ..protocol import OperatingPoint
 from ..states.processes import die_with_parent, how_it_ended, last_words
 from ..states.stores import BoxLost
@@ -60,7 +61,7 @@ class Peer:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the command cannot be started.
     """
 
@@ -79,7 +80,7 @@ class Peer:
                 preexec_fn=lambda: die_with_parent(parent),
             )
         except (OSError, ValueError, IndexError, subprocess.SubprocessError) as error:
-            raise ValueError(f"the command {command!r} cannot be started: {error}") from None
+            raise SeqsweepError(f"the command {command!r} cannot be started: {error}") from None
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._stdin, self._stdout = self._process.stdin, self._process.stdout

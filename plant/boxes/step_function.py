@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import SeqsweepError
 from ..injection import series_tones
 from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from ..states.steady_state import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
@@ -50,7 +51,7 @@ StepFunction = Callable[[Any, complex, float], tuple[Any, complex]]
 LaneStepFunction = Callable[[Any, np.ndarray, float], tuple[Any, np.ndarray]]
 
 
-class StepError(ValueError):
+class StepError(SeqsweepError):
     """A step function that cannot be stepped as it is, with the way out."""
 
 
@@ -91,7 +92,7 @@ def plant_from_step(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the step leaves fewer than ten samples per period, or a rating is not above 0.
     """
     identity = _identity(step, dt_s, voltage_v, power_va, f1_hz, active_power_w, terminal_voltage_pu, power_meaning)
@@ -128,9 +129,9 @@ def _identity(
 ) -> Identity:
     for name, value in {"dt_s": dt_s, "f1_hz": f1_hz, "voltage_v": voltage_v, "power_va": power_va}.items():
         if not 0.0 < value < inf:
-            raise ValueError(f"{name} is {value:g}; needed: a finite number above 0")
+            raise SeqsweepError(f"{name} is {value:g}; needed: a finite number above 0")
     if dt_s * f1_hz > 0.1:
-        raise ValueError(f"dt_s is {dt_s:g} s; needed: at most a tenth of a period, {0.1 / f1_hz:g} s")
+        raise SeqsweepError(f"dt_s is {dt_s:g} s; needed: at most a tenth of a period, {0.1 / f1_hz:g} s")
     low, high = terminal_voltage_pu
     limits = OperatingRange(active_power_w, (low * voltage_v, high * voltage_v))
     name = f"python:{step.__module__}:{step.__name__}"
@@ -172,7 +173,7 @@ class StepPlant:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the operating point is outside the range.
         NotSettled
             If the waveforms do not repeat within the patience.
@@ -295,7 +296,7 @@ class LanePlant(StepPlant):
     def settle(self, operating_point: OperatingPoint, source: Source) -> StepState:
         """As `StepPlant.settle`; an ideal source alone."""
         if source.kind != "ideal":
-            raise ValueError(
+            raise SeqsweepError(
                 f"{self.id} takes many experiments at once: it stands on an ideal source, where its admittance is the "
                 "same; plant_from_step stands on a grid, too"
             )

@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import nearest
 from .cigre_abi import MESSAGE, OK, CigreError, InstanceStruct, Library, Parameter, Port
 from .interface import ControllerFault, Offer, Stretch
-from .signal_map import Terminal, nearest
+from .signal_map import Terminal
 
 EMT, RMS = 1, 2
 

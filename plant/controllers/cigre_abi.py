@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..errors import SeqsweepError
+
 FUNCTIONS = (
     "Model_PrintInfo",
     "Model_FirstCall",
@@ -32,7 +34,7 @@ MOST = 100_000
 """More ports, parameters, states or elements than this are no description but a misread one."""
 
 
-class CigreError(ValueError):
+class CigreError(SeqsweepError):
     """A library that cannot be used as it is, or is asked for what it has not."""
 
 

@@ -120,7 +120,7 @@ def offer(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If it cannot be driven, a setting does not fit, or the sample time is not known.
     """
     contents = contents_of(path, validate)

@@ -6,12 +6,14 @@ import struct
 from pathlib import Path
 from typing import NamedTuple
 
+from ..errors import SeqsweepError
+
 _MACHINES = {3: "i386", 40: "arm", 62: "x86_64", 183: "aarch64", 243: "riscv"}
 _DYNSYM = 11
 _FUNCTION = 2
 
 
-class SharedObjectError(ValueError):
+class SharedObjectError(SeqsweepError):
     """A file that is no shared library this can read."""
 
 

@@ -8,10 +8,11 @@ their signs are those of `SIGNALS`; a port's number is ``sign * signal / unit``.
 from __future__ import annotations
 
 import cmath
-import difflib
 from collections.abc import Mapping, Sequence
 from math import isfinite, pi
 from typing import Any, NamedTuple
+
+from ..errors import SeqsweepError, nearest
 
 _DIRECTIONS = {
     "alpha": 1.0,
@@ -64,7 +65,7 @@ _UNITS = {
 _KEYS = ("signal", "value", "unit", "base", "sign", "override_unit")
 
 
-class WiringError(ValueError):
+class WiringError(SeqsweepError):
     """A signal map that does not fit the controller; the message names the port."""
 
 
@@ -296,9 +297,3 @@ def _number(key: str, port: Terminal, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         raise WiringError(f"{key}: port {port.name!r} has {name} = {value!r}; it needs a number")
     return float(value)
-
-
-def nearest(name: str, known: Sequence[str]) -> str:
-    """A hint in brackets where one of ``known`` is nearly ``name``, else nothing."""
-    close = difflib.get_close_matches(name, known, n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""

@@ -15,6 +15,7 @@ from statistics import median
 
 import numpy as np
 
+from ..errors import SeqsweepError
 from ..protocol import Compensation
 from .estimator import NO_RESONANCE, SAMPLE_S, WINDOW_S, Estimator, Resonance, matrix_pencil
 
@@ -49,7 +50,7 @@ def checked_compensation(plant_id: str, values: Sequence[float]) -> Compensation
     """`compensation` of a plant's parameters, in the order of `DAMPING_RANGES`; ValueError out of range."""
     for (name, (low, high, unit)), value in zip(DAMPING_RANGES.items(), values, strict=True):
         if not low <= value <= high:
-            raise ValueError(f"{name} is {value:g}{unit}; {plant_id} takes {low:g} to {high:g}{unit}")
+            raise SeqsweepError(f"{name} is {value:g}{unit}; {plant_id} takes {low:g} to {high:g}{unit}")
     return compensation(*values)
 
 
@@ -105,7 +106,7 @@ class DampingSettings:
         }
         for name, (value, low, high) in needed.items():
             if not low <= value <= high:
-                raise ValueError(f"{name} of the damping control is {value:g}; needed: {low:g} to {high:g}")
+                raise SeqsweepError(f"{name} of the damping control is {value:g}; needed: {low:g} to {high:g}")
 
 
 @dataclass(frozen=True, slots=True)

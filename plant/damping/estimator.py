@@ -12,6 +12,8 @@ from math import pi
 
 import numpy as np
 
+from ..errors import SeqsweepError
+
 SAMPLE_S = 2e-3
 """Step of the block means (s)."""
 
@@ -94,7 +96,7 @@ def matrix_pencil(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0, 
         At the end of the last block. `NO_RESONANCE` if samples are not finite.
     """
     if len(x) < 4 * order:
-        raise ValueError(f"{len(x)} samples given; a pencil of order {order} needs {4 * order} or more")
+        raise SeqsweepError(f"{len(x)} samples given; a pencil of order {order} needs {4 * order} or more")
     if not np.all(np.isfinite(x)):
         return NO_RESONANCE
     poles = _poles(x, order) / step_s
@@ -122,7 +124,7 @@ def sliding_fft(x: np.ndarray, step_s: float = SAMPLE_S, f1_hz: float = 50.0) ->
     n_periods = int(len(x) * step_s * f1_hz + 1e-9)
     n = round(n_periods / (f1_hz * step_s))
     if n_periods < 4:
-        raise ValueError(f"{len(x)} samples of {step_s:g} s hold {n_periods} periods of {f1_hz:g} Hz; 4 are needed")
+        raise SeqsweepError(f"{len(x)} samples of {step_s:g} s hold {n_periods} periods of {f1_hz:g} Hz; 4 are needed")
     if not np.all(np.isfinite(x)):
         return NO_RESONANCE
     x = x[len(x) - n :]

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..errors import SeqsweepError
 from ..protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Trace
 from . import control
 from .control import DampingSettings, DampingState, Measurement
@@ -106,11 +107,11 @@ class Scenario:
             _check_event(event)
         for first, second in pairwise(faults):
             if second.time_s < first.time_s + first.duration_s:
-                raise ValueError(
+                raise SeqsweepError(
                     f"the faults at {first.time_s:g} s and {second.time_s:g} s overlap; give one at a time"
                 )
         if not (self.scale > 0.0 and self.turbines > 0.0):
-            raise ValueError(f"scale and turbines must be positive; got {self.scale:g} and {self.turbines:g}")
+            raise SeqsweepError(f"scale and turbines must be positive; got {self.scale:g} and {self.turbines:g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +226,7 @@ def simulate(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the plant has no measurement port, its step does not divide 2 ms, its own damping is on,
         its fundamental is not that of ``damping``, or it cannot do what an event asks; all before anything is run.
     NotSettled
@@ -236,7 +237,7 @@ def simulate(
     n_blocks = _steps_of(duration_s, SAMPLE_S)
     settings = damping or replace(_WATCH, f1_hz=port.f1_hz)
     if settings.f1_hz != port.f1_hz:
-        raise ValueError(f"the damping control is set for {settings.f1_hz:g} Hz; {port.id} has {port.f1_hz:g} Hz")
+        raise SeqsweepError(f"the damping control is set for {settings.f1_hz:g} Hz; {port.id} has {port.f1_hz:g} Hz")
     state = port.equilibrium(OperatingPoint(scenario.active_power_w, None), _source(scenario))
     _refuse_impossible(port, state, scenario, duration_s)
     memory = _memory_at_rest(port, state, scenario, settings)
@@ -321,27 +322,29 @@ _WATCH = DampingSettings(k=0.0, r_ohm=0.0, l_h=0.0, resonance_hz=None)
 
 def _check_event(event: Event) -> None:
     if not 0.0 <= event.time_s < inf:
-        raise ValueError(f"an event needs a time from 0 s on; got {event.time_s:g} s")
+        raise SeqsweepError(f"an event needs a time from 0 s on; got {event.time_s:g} s")
     for name in ("scale", "count", "wind_m_s", "active_power_w", "r_ohm", "duration_s"):
         value = getattr(event, name, 1.0)
         if not 0.0 < value < inf:
-            raise ValueError(f"{name} of the event at {event.time_s:g} s must be positive; got {value:g}")
+            raise SeqsweepError(f"{name} of the event at {event.time_s:g} s must be positive; got {value:g}")
     if isinstance(event, Fault) and event.kind not in ("a-b-c", "a-g", "b-c", "b-c-g"):
-        raise ValueError(f"unknown kind of fault {event.kind!r}; known are 'a-b-c', 'a-g', 'b-c', 'b-c-g'")
+        raise SeqsweepError(f"unknown kind of fault {event.kind!r}; known are 'a-b-c', 'a-g', 'b-c', 'b-c-g'")
 
 
 def _with_port(plant: Plant) -> MeasuredPlant:
     if not isinstance(plant, MeasuredPlant):
-        raise ValueError(f"{plant.id} has no measurement port: damping control and events need one, see MeasuredPlant")
+        raise SeqsweepError(
+            f"{plant.id} has no measurement port: damping control and events need one, see MeasuredPlant"
+        )
     if plant.compensation != Compensation():
-        raise ValueError(f"{plant.id} was made with damping_gain > 0; give DampingSettings to simulate instead")
+        raise SeqsweepError(f"{plant.id} was made with damping_gain > 0; give DampingSettings to simulate instead")
     return plant
 
 
 def _steps_of(duration_s: float, step_s: float) -> int:
     n = round(duration_s / step_s)
     if n < 1 or abs(n * step_s - duration_s) > 1e-6 * step_s:
-        raise ValueError(f"{duration_s:g} s is not a whole number of steps of {step_s:g} s")
+        raise SeqsweepError(f"{duration_s:g} s is not a whole number of steps of {step_s:g} s")
     return n
 
 

@@ -13,6 +13,8 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
+from ..errors import SeqsweepError
+
 MOST_MEMBERS = 20_000
 MOST_BYTES = 2 << 30
 MOST_RATIO = 500
@@ -22,7 +24,7 @@ FEW_BYTES = 16 << 20
 """Below this nobody minds the ratio."""
 
 
-class ArchiveError(ValueError):
+class ArchiveError(SeqsweepError):
     """An FMU that is not unpacked, with the member at fault."""
 
 

@@ -180,7 +180,7 @@ def fmu_plant(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the file is no FMU that can be driven, or a variable is not what it should be; with its name.
     """
     contents = contents_of(Path(file), validate)

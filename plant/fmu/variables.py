@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from math import prod
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import SeqsweepError, nearest
 from .archive import description_of
 from .versions import VERSIONS, Version
 
@@ -19,7 +19,7 @@ _REAL = {"Real", "Float64", "Float32"}
 _WHOLE = {"Integer", "Enumeration", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))}
 
 
-class FmuError(ValueError):
+class FmuError(SeqsweepError):
     """An FMU that cannot be driven as the campaign says, with the variable and the way out."""
 
 
@@ -82,7 +82,7 @@ def contents_of(path: Path, validate: bool) -> Contents:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If it is no FMU, or one that cannot be driven here; with the way out.
     """
     description = description_of(path, validate)
@@ -200,8 +200,7 @@ def _known(contents: Contents, key: str, name: str, causality: str) -> Any:
     if name in known:
         return known[name]
     alike = [other for other, variable in known.items() if not causality or variable.causality == causality]
-    near = difflib.get_close_matches(name, alike, n=1)
-    hint = f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(alike[:12])}"
+    hint = nearest(name, alike) or f"; it has {', '.join(alike[:12])}"
     raise FmuError(f"{key}: {contents.path} has no variable {name!r}{hint}")
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..controllers.interface import ControllerFault, Sealed
 from ..controllers.signal_map import wire
+from ..errors import SeqsweepError
 from ..injection import series_tones, turns
 from ..protocol import (
     Compensation,
@@ -178,7 +179,7 @@ class SampledTurbine:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             As `settle`.
         NotSettled
             If it comes to rest neither way.
@@ -356,7 +357,7 @@ class SampledTurbine:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the state's source is ideal, or the conditions ask for wind or for a power out of range.
 
         Notes
@@ -391,18 +392,20 @@ class SampledTurbine:
     def _surrounded(self, state: GreyState, conditions: Conditions) -> GreyState:
         """The state with the conditions' grid and power."""
         if state.source.kind != "thevenin":
-            raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
+            raise SeqsweepError("trace needs a state behind a thevenin source; this one has an ideal source")
         if conditions.wind_m_s is not None:
-            raise ValueError(
+            raise SeqsweepError(
                 f"{self.id} has no wind: the power into its DC link is what is asked; give a power step "
                 "(power_step, active_power_mw) in place of the wind step"
             )
         if not (conditions.r_ohm >= 0.0 and conditions.l_h > 0.0):
-            raise ValueError(f"a grid needs r_ohm >= 0 and l_h > 0; got {conditions.r_ohm:g} ohm, {conditions.l_h:g} H")
+            raise SeqsweepError(
+                f"a grid needs r_ohm >= 0 and l_h > 0; got {conditions.r_ohm:g} ohm, {conditions.l_h:g} H"
+            )
         power_w = state.power_w * conditions.power_scale
         low, high = self.operating_range.active_power_w
         if not low * (1.0 - 1e-9) <= power_w <= high * (1.0 + 1e-9):
-            raise ValueError(
+            raise SeqsweepError(
                 f"active power of {power_w / 1e6:g} MW is outside the range of {self.id}: "
                 f"{low / 1e6:g} to {high / 1e6:g} MW"
             )

@@ -35,8 +35,8 @@ from ..boxes.opaque_plant import (
     watch,
 )
 from ..controllers.interface import ControllerFault, Offer
-from ..controllers.signal_map import nearest
 from ..damping.control import checked_compensation
+from ..errors import SeqsweepError, nearest
 from ..protocol import (
     Conditions,
     Injection,
@@ -104,7 +104,7 @@ class GreyTurbine:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the controller cannot be used, the map does not fit its ports, or a parameter is unknown or out of its range.
     """
 
@@ -131,12 +131,12 @@ class GreyTurbine:
         **parameters: float,
     ):
         if snapshot not in SNAPSHOTS:
-            raise ValueError(f"snapshot is {snapshot!r}; {self.id} has {', '.join(map(repr, SNAPSHOTS))}")
+            raise SeqsweepError(f"snapshot is {snapshot!r}; {self.id} has {', '.join(map(repr, SNAPSHOTS))}")
         if delay_samples not in (0, 1) or isinstance(delay_samples, bool):
-            raise ValueError(f"delay_samples is {delay_samples!r}; {self.id} takes 0 or 1")
+            raise SeqsweepError(f"delay_samples is {delay_samples!r}; {self.id} takes 0 or 1")
         for name, table in {"settings": settings or {}, "inputs": inputs, "outputs": outputs}.items():
             if not isinstance(table, Mapping):
-                raise ValueError(f"{name} is {table!r}; {self.id} needs a table")
+                raise SeqsweepError(f"{name} is {table!r}; {self.id} needs a table")
         offer = _offer(controller, settings or {}, outputs, sample_time_s, snapshot, validate)
         if offer.folder is not None:
             weakref.finalize(self, shutil.rmtree, offer.folder, ignore_errors=True)
@@ -170,7 +170,7 @@ class GreyTurbine:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the operating point is outside `operating_range`, or says |v_pcc| twice or not at all.
         NotSettled
             If the waveforms do not become periodic within ``patience_s``, or run away ("diverged").
@@ -185,7 +185,7 @@ class GreyTurbine:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             As `settle`.
         NotSettled
             If the controller comes to rest neither on an ideal source nor behind the grid.
@@ -297,7 +297,7 @@ def around_library(path: str, **parameters: Any) -> GreyTurbine:
     """``cigre:FILE``: `GreyTurbine` with that library; parameters pass through."""
     for name in ("inputs", "outputs"):
         if name not in parameters:
-            raise ValueError(f"{name} is missing: a signal map says what each port of {path} is; see docs/cigre.md")
+            raise SeqsweepError(f"{name} is missing: a signal map says what each port of {path} is; see docs/cigre.md")
     return GreyTurbine(f"cigre:{path}", **parameters)
 
 
@@ -320,11 +320,11 @@ def _offer(
     """The controller by its kind, read and ready to be opened."""
     kind, colon, rest = str(controller).partition(":")
     if not (colon and kind in ("cigre", "fmu") and rest):
-        raise ValueError(
+        raise SeqsweepError(
             f"controller is {controller!r}; it must read cigre:FILE (a TB 958 library) or fmu:FILE (an FMU)"
         )
     if sample_time_s is not None and not (isinstance(sample_time_s, float) and 0.0 < sample_time_s <= LONGEST_SAMPLE_S):
-        raise ValueError(
+        raise SeqsweepError(
             f"sample_time_s is {sample_time_s!r}; needed: a number above 0 and up to {LONGEST_SAMPLE_S:g}, in s"
         )
     if kind == "cigre":
@@ -340,7 +340,7 @@ def _offer(
 def _kept(snapshot: str, offer: Offer, controller: str) -> str:
     """How states are kept at first."""
     if snapshot == "states" and not offer.states:
-        raise ValueError(
+        raise SeqsweepError(
             f'snapshot = "states", but {controller} cannot get and set its state; "auto" takes what there is'
         )
     if snapshot in ("auto", "states"):
@@ -353,7 +353,7 @@ def _circuit(parameters: Mapping[str, Any]) -> TurbineParameters:
     if unknown:
         known = [name for name, p in signature(GreyTurbine).parameters.items() if p.kind is not p.VAR_KEYWORD]
         hint = nearest(unknown[0], [*known, *CIRCUIT])
-        raise ValueError(
+        raise SeqsweepError(
             f"{GreyTurbine.id} has no parameter {unknown[0]!r}{hint}; it has {', '.join(known)}, and for its circuit "
             f"{', '.join(CIRCUIT)}"
         )
@@ -363,5 +363,5 @@ def _circuit(parameters: Mapping[str, Any]) -> TurbineParameters:
 def _positive(**values: Any) -> list[float]:
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not (value > 0.0 and isfinite(value)):
-            raise ValueError(f"{name} is {value!r}; {GreyTurbine.id} needs a finite number above 0")
+            raise SeqsweepError(f"{name} is {value!r}; {GreyTurbine.id} needs a finite number above 0")
     return [float(value) for value in values.values()]

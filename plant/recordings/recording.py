@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import SeqsweepError
+
 BLOCK = 1 << 17
 """Samples read at a time: what a reader holds in memory beyond what its format forces upon it."""
 
@@ -18,7 +20,7 @@ Samples = Callable[[Sequence[int], int, int], np.ndarray]
 """``(columns, start, stop) -> (stop - start, len(columns)) float``; NaN where a sample is missing."""
 
 
-class RecordingError(ValueError):
+class RecordingError(SeqsweepError):
     """A file that is no readable recording, or not one in which v and i are found; with the way out."""
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ..errors import SeqsweepError
 from ..injection import check_source
 from ..protocol import NotSettled, OperatingPoint, OperatingRange, Rating, Source
 
@@ -124,7 +125,7 @@ def voltage_asked(point: OperatingPoint, source: Source, limits: OperatingRange,
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If it, or the active power, is outside ``limits`` or not a number, or is said twice or not at all.
     """
     check_source(point, source)
@@ -136,7 +137,7 @@ def voltage_asked(point: OperatingPoint, source: Source, limits: OperatingRange,
     ]
     for what, value, (low, high), unit, word in given:
         if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
-            raise ValueError(
+            raise SeqsweepError(
                 f"{what} of {value / unit:g} {word} is outside the range of {name}: "
                 f"{low / unit:g} to {high / unit:g} {word}"
             )

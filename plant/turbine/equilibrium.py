@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import pi, sqrt
 from typing import NamedTuple
 
+from ..errors import SeqsweepError
 from .parameters import TurbineParameters
 
 
@@ -59,7 +60,7 @@ def machine_equilibrium(p: TurbineParameters, power_w: float) -> MachineEquilibr
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the power is not positive, or more than the torque law can deliver through Rs.
     """
     w_m = _rotor_speed(p, power_w)
@@ -116,7 +117,7 @@ def terminal_voltage_for_source(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the grid cannot carry the power.
 
     Notes
@@ -129,7 +130,7 @@ def terminal_voltage_for_source(
     half = 0.5 * source_voltage_v**2 + (a * z.conjugate()).real * power_w
     discriminant = half**2 - abs(a * z * power_w) ** 2
     if half <= 0.0 or discriminant < 0.0:
-        raise ValueError(
+        raise SeqsweepError(
             f"no equilibrium: {power_w:g} W cannot be carried by {source_voltage_v:g} V behind "
             f"{z.real:g} + j{z.imag:g} ohm; lower the power or the impedance"
         )
@@ -139,7 +140,7 @@ def terminal_voltage_for_source(
 def _rotor_speed(p: TurbineParameters, power_w: float) -> float:
     """Speed (rad/s) at which the torque law, less the copper loss, delivers ``power_w``."""
     if not power_w > 0.0:
-        raise ValueError(f"power_w must be positive, but is {power_w:g} W")
+        raise SeqsweepError(f"power_w must be positive, but is {power_w:g} W")
     loss = p.r_s_ohm * (p.k_opt / (p.pole_pairs * p.flux_wb)) ** 2
     w = (power_w / p.k_opt) ** (1.0 / 3.0)
     for _ in range(50):
@@ -150,7 +151,7 @@ def _rotor_speed(p: TurbineParameters, power_w: float) -> float:
         w += step
         if abs(step) <= 1e-14 * w:
             return w
-    raise ValueError(f"no equilibrium: the torque law cannot deliver {power_w:g} W through Rs = {p.r_s_ohm:g} ohm")
+    raise SeqsweepError(f"no equilibrium: the torque law cannot deliver {power_w:g} W through Rs = {p.r_s_ohm:g} ohm")
 
 
 def _tip_speed_ratio(p: TurbineParameters) -> float:

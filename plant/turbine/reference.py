@@ -16,6 +16,7 @@ from math import ceil, pi, sqrt
 import numpy as np
 
 from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
+from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
 from ..protocol import (
     Compensation,
@@ -94,7 +95,7 @@ class ReferenceTurbine:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If a parameter is unknown or out of its range, or damping control is asked of the integrator "emt".
     """
 
@@ -116,10 +117,10 @@ class ReferenceTurbine:
         unknown = sorted(set(parameters) - set(TurbineParameters._fields))
         if unknown:
             known = (*DAMPING_RANGES, "integrator", *TurbineParameters._fields)
-            raise ValueError(f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
+            raise SeqsweepError(f"{self.id} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
         damping = [float(x) for x in (damping_gain, damping_r_ohm, damping_l_h, damping_resonance_hz)]
         if not 0.0 < dt_s <= 5e-4:
-            raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
+            raise SeqsweepError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
         self.compensation = checked_compensation(self.id, damping)
         self.integrator = _checked_integrator(integrator, self.compensation)
@@ -136,7 +137,7 @@ class ReferenceTurbine:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the operating point is outside `operating_range`, or says |v_pcc| twice or not at all.
         NotSettled
             If there is no equilibrium ("not_settled") or it is unstable ("diverged").
@@ -227,7 +228,7 @@ class ReferenceTurbine:
         )
         for name, value, (low, high), unit, symbol in named:
             if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
-                raise ValueError(
+                raise SeqsweepError(
                     f"{name} of {value * unit:g} {symbol} is outside the range of {self.id}: "
                     f"{low * unit:g} to {high * unit:g} {symbol}"
                 )
@@ -322,7 +323,7 @@ class ReferenceTurbine:
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the state's source is ideal: faults and grid steps need a grid.
 
         Notes
@@ -332,7 +333,7 @@ class ReferenceTurbine:
         from ..kernels import turbine as kernel
 
         if state.source.kind != "thevenin":
-            raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
+            raise SeqsweepError("trace needs a state behind a thevenin source; this one has an ideal source")
         start = self._surrounded(state, conditions)
         lane = self._lane(Job(start, None), Window(0.0, 1), 1, 0)
         self._set_port(lane, start, conditions)
@@ -444,9 +445,11 @@ class ReferenceTurbine:
 
 def _checked_integrator(integrator: str, block: Compensation) -> str:
     if integrator not in _INTEGRATORS:
-        raise ValueError(f"integrator is {integrator!r}; dpmsg-v1 has {' and '.join(map(repr, _INTEGRATORS))}")
+        raise SeqsweepError(f"integrator is {integrator!r}; dpmsg-v1 has {' and '.join(map(repr, _INTEGRATORS))}")
     if integrator == "emt" and block != Compensation():
-        raise ValueError("integrator 'emt' has no damping control: leave damping_gain at 0, or take integrator 'rk4'")
+        raise SeqsweepError(
+            "integrator 'emt' has no damping control: leave damping_gain at 0, or take integrator 'rk4'"
+        )
     return integrator
 
 

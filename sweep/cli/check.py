@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ...plant.check import Finding, check_plant
+from ...plant.errors import SeqsweepError
 from ...plant.registry import PlantSpec, refuse_unknown_id, runs_isolated
 from ..run.child import ChildFailed, child
 
@@ -37,7 +38,7 @@ _CALLED = (ast.FunctionDef, ast.ClassDef)
 _CONTROLLER = ("Model_GetInfo", "Model_Outputs")
 
 
-class InspectionError(ValueError):
+class InspectionError(SeqsweepError):
     """A file that cannot be read for what it is."""
 
 
@@ -98,7 +99,7 @@ def inspect(path: Path) -> str:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If there is no such file, or it is not what its name says, or unfit to be unpacked.
     """
     if str(path).startswith(_ASKED):

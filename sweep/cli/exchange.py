@@ -11,6 +11,7 @@ from ...identify.exchange.facts import ExchangeError, Facts, Found
 from ...identify.response import Frame
 from ...identify.table.read import read_table
 from ...identify.table.write import write_table
+from ...plant.errors import SeqsweepError
 
 SUFFIXES = {
     **{".csv": "csv", ".tsv": "csv", ".txt": "csv"},
@@ -22,7 +23,7 @@ SUFFIXES = {
 FORMATS = ("csv", "mat", "touchstone")
 
 
-class UnknownFormat(ValueError):
+class UnknownFormat(SeqsweepError):
     """A file whose format neither its suffix nor an option says."""
 
 

@@ -1,7 +1,8 @@
 """The command line. Errors become one message and an exit status here, and nowhere else.
 
 Exit status: 0 done, 1 done but some rows are not ok, 2 the input is wrong, 3 interrupted, 4 the
-machine failed us. What a command needs is imported inside it: ``--help`` must not wait.
+machine failed us, 5 a fault of the program itself. What a command needs is imported inside it:
+``--help`` must not wait.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from typing import Annotated, Any
 
 import typer
 
+from ...plant.errors import SeqsweepError
 from . import decide as cli_decide
+from . import faults
 from . import files as cli_files
 from . import sweep as cli_sweep
-from .shared import INTERRUPTED, MACHINE, OK, WRONG_INPUT
+from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 """`ClickException`: newer versions of typer bring a click of their own, older ones import it."""
@@ -59,7 +62,10 @@ for _name, _command in _COMMANDS.items():
 
 
 @app.callback(invoke_without_command=True)
-def _version(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    debug: Annotated[bool, typer.Option(faults.DEBUG, help="Print the details of a fault of the program.")] = False,
+) -> None:
     if version:
         from importlib.metadata import version as version_of
 
@@ -88,18 +94,19 @@ def console() -> None:
 
 
 def _status() -> int:
+    arguments, debug = faults.command_line()
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # matrices are small here: more threads only get in each other's way
     with suppress(ValueError):  # only the main thread can be told
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout`, Slurm, docker stop: as Ctrl-C
     try:
-        result = app(standalone_mode=False)
+        result = app(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
         error.show(file=sys.stderr)
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
-    except ValueError as error:
+    except SeqsweepError as error:
         typer.echo(str(error), err=True)
         return WRONG_INPUT
     except (BrokenPipeError, SystemExit):  # nobody reads on; typer makes the latter of the former
@@ -109,6 +116,12 @@ def _status() -> int:
         kept = _resumes() and error.errno in _FULL
         typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
         return MACHINE
+    except MemoryError:
+        typer.echo("the memory of this machine does not suffice", err=True)
+        return MACHINE
+    except Exception as error:
+        typer.echo(faults.told(error, arguments, debug), err=True)
+        return FAULT
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
         return _interrupted()
     return result if isinstance(result, int) else OK
@@ -121,4 +134,4 @@ def _interrupted() -> int:
 
 def _resumes() -> bool:
     """Whether the command keeps what it has measured: `run` alone does."""
-    return sys.argv[1:2] == ["run"]
+    return faults.command_line()[0][:1] == ["run"]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...plant.errors import SeqsweepError
+
 if TYPE_CHECKING:
     from ...plant.protocol import Plant
     from ...plant.registry import PlantCard
@@ -15,8 +17,9 @@ if TYPE_CHECKING:
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
-OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE = range(5)
-"""Exit statuses: done; done, but some rows are not ok; the input is wrong; interrupted; the machine failed us."""
+OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE, FAULT = range(6)
+"""Exit statuses: done; done, but some rows are not ok; the input is wrong; interrupted; the machine failed us;
+the program itself is at fault."""
 
 CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign file.")]
 TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A table of this format.")]
@@ -30,7 +33,7 @@ StableOn = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 
 
-class WrongInput(ValueError):
+class WrongInput(SeqsweepError):
     """A call that cannot be carried out as given."""
 
 

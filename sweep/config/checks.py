@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
+from ...plant.errors import closest
 from .file import Keys, shown
 from .sections import (
     MIN_ADAPTIVE_POINTS,
@@ -104,8 +104,8 @@ def _unknown(keys: Keys) -> tuple[str, str | None]:
     what, dressed = ("key", "{}") if len(keys) > 1 else ("section", "[{}]")
     assert section is not None
     known = list(section.model_fields)
-    if close := difflib.get_close_matches(name.lower(), known, n=1):
-        return f"unknown {what}; did you mean {dressed.format(close[0])}?", close[0]
+    if close := closest(name, known):
+        return f"unknown {what}; did you mean {dressed.format(close)}?", close
     for other in Config.model_fields:
         model = _model((other, 0) if other == "operating_point" else (other,))
         if model is not None and name in model.model_fields:
@@ -189,7 +189,7 @@ def _points(points: Sequence[Any]) -> Iterator[Problem]:
             )
         elif not given:
             text = "missing; needed: a number above 0, in pu (or a table grid)"
-            if not any(difflib.get_close_matches(str(key), ["terminal_voltage_pu"]) for key in point):
+            if not any(closest(str(key), ["terminal_voltage_pu"]) for key in point):
                 yield Problem(("operating_point", index, "terminal_voltage_pu"), text)
 
 
@@ -206,7 +206,7 @@ def _frequencies(sweep: Mapping[str, Any]) -> Iterator[Problem]:
         return
     unknown = [str(key) for key in sweep if key not in SweepSection.model_fields]
     for key in _RANGE:
-        if key not in present and not difflib.get_close_matches(key, unknown):
+        if key not in present and not closest(key, unknown):
             yield Problem(("sweep", key), f"missing; needed: {_needed(('sweep', key))}, or a list f_hz")
     low, high = _number(sweep.get("f_min_hz")), _number(sweep.get("f_max_hz"))
     if low is not None and high is not None and not low < high:

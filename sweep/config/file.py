@@ -12,13 +12,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ...plant.errors import SeqsweepError
+
 Keys = tuple[str | int, ...]
 """Where a value stands: ("operating_point", 0, "active_power_mw")."""
 
 PROBLEMS_SHOWN = 20
 
 
-class ConfigError(ValueError):
+class ConfigError(SeqsweepError):
     """A campaign that cannot be run as written.
 
     Attributes
@@ -137,14 +139,14 @@ def _assignment(text: str) -> tuple[Keys, Any]:
     dotted, equals, value = text.partition("=")
     parts = [part.strip() for part in dotted.split(".")]
     if not equals or not all(parts):
-        raise ValueError("write section.key=value, such as injection.amplitude_pu=0.002")
+        raise SeqsweepError("write section.key=value, such as injection.amplitude_pu=0.002")
     try:
         parsed = tomllib.loads(f"value = {value}")
     except (tomllib.TOMLDecodeError, RecursionError):
         parsed = {}
     if set(parsed) != {"value"}:
         quoted = value.strip().strip("\"'")
-        raise ValueError(f"{value.strip()!r} is not a TOML value; text needs quotes: --set '{dotted}=\"{quoted}\"'")
+        raise SeqsweepError(f"{value.strip()!r} is not a TOML value; text needs quotes: --set '{dotted}=\"{quoted}\"'")
     return tuple(int(part) if part.isdecimal() else part for part in parts), parsed["value"]
 
 
@@ -153,9 +155,9 @@ def _put(data: dict[str, Any], keys: Keys, value: Any) -> None:
     for depth, key in enumerate(keys):
         if isinstance(inner, list) and key not in range(len(inner)):
             have = f"0 to {len(inner) - 1}" if inner else "none"
-            raise ValueError(f"{dotted(keys[:depth])} is a list: name its entry by number, it has {have}")
+            raise SeqsweepError(f"{dotted(keys[:depth])} is a list: name its entry by number, it has {have}")
         if not isinstance(inner, list | dict):
-            raise ValueError(f"{dotted(keys[:depth])} is {shown(inner)}, not a section")
+            raise SeqsweepError(f"{dotted(keys[:depth])} is {shown(inner)}, not a section")
         place: Any = str(key) if isinstance(inner, dict) else key
         if depth == len(keys) - 1:
             inner[place] = value

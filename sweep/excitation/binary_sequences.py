@@ -6,6 +6,8 @@ from math import isqrt
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
+
 _TAPS = {
     2: (2, 1),
     3: (3, 2),
@@ -33,11 +35,11 @@ def maximum_length(order: int) -> np.ndarray:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If there is no polynomial for the order.
     """
     if order not in _TAPS:
-        raise ValueError(f"a maximum-length sequence of order {order!r}; orders are {min(_TAPS)} to {max(_TAPS)}")
+        raise SeqsweepError(f"a maximum-length sequence of order {order!r}; orders are {min(_TAPS)} to {max(_TAPS)}")
     register, sequence = 1, np.empty(2**order - 1)
     for n in range(len(sequence)):
         sequence[n] = 1.0 - 2.0 * (register & 1)
@@ -56,14 +58,14 @@ def quadratic_residue(length: int) -> np.ndarray:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If ``length`` is no prime = 3 (mod 4); names the nearest that are.
     """
     if not is_residue_length(length):
         below = next((p for p in range(length - 1, 2, -1) if is_residue_length(p)), None)
         near = [str(p) for p in (below, next_residue_length(length)) if p is not None]
         what = "not prime" if not _is_prime(length) else "1 (mod 4): its spectrum would not be flat"
-        raise ValueError(
+        raise SeqsweepError(
             f"a quadratic-residue sequence of length {length} is asked; it is {what}. Primes = 3 (mod 4) are needed, "
             f"such as {' or '.join(near)}"
         )

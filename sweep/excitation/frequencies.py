@@ -14,6 +14,8 @@ from math import ceil, floor
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
+
 MIN_WINDOW_S = 0.3
 """Shortest window (s): the fast modes of a converter die out within one."""
 
@@ -30,7 +32,7 @@ GENERATED_SHIFT = 1.0 / 3.0
 """Largest move of a generated frequency, in parts of the distance to its neighbour."""
 
 
-class GridError(ValueError):
+class GridError(SeqsweepError):
     """Frequencies that cannot be swept, with the way out."""
 
 

@@ -11,11 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
+
 DETECTION_GROUP = 8
 """One of so many neighbouring odd lines is never played."""
 
 
-class SignalError(ValueError):
+class SignalError(SeqsweepError):
     """A broadband signal that cannot do what is asked, with the way out."""
 
 

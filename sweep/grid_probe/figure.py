@@ -13,6 +13,7 @@ import numpy as np
 
 from ...identify.files import atomic_file
 from ...identify.grid_impedance import GridImpedance
+from ...plant.errors import SeqsweepError
 from ..report.bode import _RC, _WITHOUT_TIME
 from .probe import GridSeen
 
@@ -28,11 +29,11 @@ def plot(seen: Sequence[GridSeen], path: str | Path) -> None:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If none was identified.
     """
     if not any(each.found for each in seen):
-        raise ValueError("there is no identified grid to draw")
+        raise SeqsweepError("there is no identified grid to draw")
     import matplotlib
 
     suffix = Path(path).suffix.lower()

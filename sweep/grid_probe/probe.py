@@ -19,6 +19,7 @@ import numpy as np
 
 from ...identify.files import atomic_file
 from ...identify.grid_impedance import GridImpedance, identify_grid
+from ...plant.errors import SeqsweepError, reason_of
 from ...plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ...plant.registry import PlantCard
 from ..config.sections import MAX_AMPLITUDE_PU
@@ -27,7 +28,7 @@ from ..excitation.odd_lines import SignalError
 from ..excitation.signals import Signal, multisine, qrb, residue_length, tones
 from ..measure.loadflow import reached
 from ..plan import Condition, Plan
-from ..run.child import ChildFailed, child, reason_of
+from ..run.child import ChildFailed, child
 from ..run.host import DEFAULT_TIMEOUT_S
 
 FORMAT, VERSION = "seqsweep-grid", "1.0.0"
@@ -39,7 +40,7 @@ BAND_HZ = (10.0, 150.0)
 KINDS = ("multisine", "qrb")
 
 
-class ProbeError(ValueError):
+class ProbeError(SeqsweepError):
     """A campaign on which no grid can be identified, with the way out."""
 
 

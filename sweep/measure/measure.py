@@ -15,10 +15,10 @@ from ...identify.admittance import solve_pn
 from ...identify.fourier import periodic_window_variance
 from ...identify.settling import COND_LIMIT, Settled
 from ...identify.uncertainty import propagate, propagate_common, scatter, student_factor
+from ...plant.errors import reason_of
 from ...plant.protocol import NotSettled, Plant
 from ..excitation.frequencies import Frequency
 from ..plan import Batch, Plan
-from ..run.child import reason_of
 from .baseline import Baseline, Unsettled, baseline
 from .broadband import drive_broadband
 from .linearity import compared, covariance_of

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ...identify.files import atomic_file
+from ...plant.errors import SeqsweepError
 
 Encoding = Literal["ASCII", "BINARY", "BINARY32", "FLOAT32"]
 
@@ -56,16 +57,16 @@ def write_comtrade(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If shapes disagree, a sample is not finite, or the file is longer than `LONGEST_S`.
     """
     path = Path(path)
     if samples.ndim != 2 or samples.shape[1] != len(channels):
-        raise ValueError(f"samples are {samples.shape} for {len(channels)} channels; needed: (n, {len(channels)})")
+        raise SeqsweepError(f"samples are {samples.shape} for {len(channels)} channels; needed: (n, {len(channels)})")
     if not np.all(np.isfinite(samples)):
-        raise ValueError("COMTRADE has no number for NaN or infinity")
+        raise SeqsweepError("COMTRADE has no number for NaN or infinity")
     if len(samples) / rate_hz > LONGEST_S:
-        raise ValueError(f"{len(samples) / rate_hz:g} s; the time stamps of COMTRADE, in us, end at {LONGEST_S:g} s")
+        raise SeqsweepError(f"{len(samples) / rate_hz:g} s; the time stamps of COMTRADE, in us, end at {LONGEST_S:g} s")
     combined = path.suffix.lower() == ".cff"
     counts, scales = _counts(samples, encoding)
     revision = 2013 if combined or encoding in ("BINARY32", "FLOAT32") else 1999

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...identify.files import atomic_file
+from ...plant.errors import SeqsweepError
 from ...plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
 from ...plant.registry import PlantCard
 from ..config.sections import Config
@@ -39,7 +40,7 @@ _WRITTEN = re.compile(rf"shot_\d{{3,}}({'|'.join(map(re.escape, SUFFIXES.values(
 """Names that `scheduled` gives to files: no others are removed, whatever a manifest says."""
 
 
-class InjectError(ValueError):
+class InjectError(SeqsweepError):
     """Files that cannot be written as asked, with the way out."""
 
 

@@ -16,6 +16,7 @@ from ...identify.recorded.points import SLIP, Experiment, Point, broadband_point
 from ...identify.response import FrequencyResponse
 from ...identify.settling import STEADY_LIMIT, growth_bound
 from ...identify.table.write import write_table
+from ...plant.errors import SeqsweepError
 from ...plant.protocol import Rating, SourceDirection
 from ...plant.recordings.channels import parse_channels
 from ...plant.recordings.read import recordings_in
@@ -77,7 +78,7 @@ class Outcome(NamedTuple):
         return set(self.statuses) <= {"ok"} and not self.left_out
 
 
-class IdentifyError(ValueError):
+class IdentifyError(SeqsweepError):
     """Recordings out of which no table can be made, with the way out."""
 
 

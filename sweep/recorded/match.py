@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ...plant.errors import SeqsweepError
 from ...plant.protocol import Rating, SourceDirection
 from ..playback.manifest import FILE_NAME, FORMAT, Experiment, PlayedTone, manifest_violations
 
 LIMIT_BYTES = 64 << 20
 
 
-class ManifestError(ValueError):
+class ManifestError(SeqsweepError):
     """A manifest that cannot be used, with the way out."""
 
 

@@ -16,6 +16,7 @@ from ...identify.files import atomic_file
 from ...identify.response import FrequencyResponse
 from ...identify.table.format import TableError, std_of
 from ...identify.table.read import iter_responses, read_metadata
+from ...plant.errors import SeqsweepError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +80,7 @@ def bode(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the suffix is another one, or a response is not in the pn frame; nothing is written.
     TableError
         If the file is not a readable table, or has no such operating point; nothing is written.
@@ -87,7 +88,9 @@ def bode(
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         given = f"given {suffix!r}" if suffix else "given none"
-        raise ValueError(f"{path}: the suffix decides the format of the plot; {given}, needed: {', '.join(SUFFIXES)}")
+        raise SeqsweepError(
+            f"{path}: the suffix decides the format of the plot; {given}, needed: {', '.join(SUFFIXES)}"
+        )
     meta, responses, total = _chosen(table, op_id)
     import matplotlib
 
@@ -109,7 +112,7 @@ def bode_figure(responses: Sequence[FrequencyResponse], title: str = "") -> Figu
     from matplotlib.figure import Figure
 
     if wrong := next((response.frame for response in responses if response.frame != "pn"), None):
-        raise ValueError(f"the plot shows the pn frame, a response is in {wrong!r}: convert it first")
+        raise SeqsweepError(f"the plot shows the pn frame, a response is in {wrong!r}: convert it first")
     curves = [_Curve(_label(r), r, c, d) for r, c, d in zip(responses, _COLOURS, _DASHES, strict=False)]
     figure = Figure(figsize=(7.16, 7.0), layout="constrained")
     axes = figure.subplots(4, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]})

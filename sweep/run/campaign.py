@@ -20,6 +20,7 @@ from ...identify.fit.adaptive import Decision, decide
 from ...identify.response import FrequencyResponse
 from ...identify.table.format import QUALITY, unpack_covariance
 from ...identify.table.write import write_table
+from ...plant.errors import SeqsweepError
 from ...plant.protocol import Plant
 from ...plant.registry import PlantCard, releases_gil
 from ...plant.states.processes import die_with_parent
@@ -41,7 +42,7 @@ RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
 
 
-class RunError(ValueError):
+class RunError(SeqsweepError):
     """A run that cannot begin as it was called."""
 
 

@@ -20,8 +20,9 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+from ...plant.errors import reason_of
 from ...plant.protocol import Plant
-from ...plant.registry import PlantCard, PlantError, PlantSpec, card_of, in_words
+from ...plant.registry import PlantCard, PlantError, PlantSpec, card_of
 from ...plant.states.processes import die_with_parent, how_it_ended
 
 T = TypeVar("T")
@@ -32,8 +33,6 @@ START_S = 60.0
 SAID_BYTES = 1 << 20
 """What a plant prints is kept for its last words, and forgotten between two questions above this size."""
 
-MOST_CHARACTERS = 300
-"""Length of a reason: it goes over a pipe, and into a row."""
 
 _SCRATCH = "seqsweep-run-"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -211,11 +210,6 @@ def _answer(plant: Plant, question: Callable[[Plant], object]) -> object:
         return question(plant)
     except Exception as error:
         return _Trouble(reason_of(error))
-
-
-def reason_of(error: Exception) -> str:
-    """What a plant raised, as the reason of its rows: in the same words here and in a child."""
-    return in_words(error)[:MOST_CHARACTERS]
 
 
 def _forget_what_was_said() -> None:

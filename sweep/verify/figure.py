@@ -12,6 +12,7 @@ import numpy as np
 
 from ...identify.files import atomic_file
 from ...plant.damping.events import Event, Fault, Trajectory
+from ...plant.errors import SeqsweepError
 from ..report.bode import _RC, _WITHOUT_TIME, SUFFIXES
 
 if TYPE_CHECKING:
@@ -37,12 +38,12 @@ def plot(result: Verification, path: str | Path) -> None:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the suffix is another one; nothing is written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
-        raise ValueError(f"{path}: the suffix decides the format of the plot; needed: {', '.join(SUFFIXES)}")
+        raise SeqsweepError(f"{path}: the suffix decides the format of the plot; needed: {', '.join(SUFFIXES)}")
     import matplotlib
 
     with matplotlib.rc_context(_RC), atomic_file(path) as file:

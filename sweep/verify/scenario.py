@@ -15,7 +15,6 @@ Impedances count in multiples of the tuned grid, so that one file serves every t
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ...plant.damping.events import Event, Fault, GridStep, PowerStep, TurbineStep, WindStep
+from ...plant.errors import SeqsweepError, nearest
 
 DURATION_S = 1.2
 STEP_S = 0.1
@@ -30,7 +30,7 @@ BEFORE_STEP = 1.2 / 1.4
 """Impedance before the default grid step, in parts of the tuned one: the paper steps from 1.2 Z to 1.4 Z."""
 
 
-class ScenarioError(ValueError):
+class ScenarioError(SeqsweepError):
     """A scenario file that cannot be followed."""
 
 
@@ -134,6 +134,5 @@ def _number(data: Mapping[str, Any], key: str, where: str) -> float:
 def _refuse_unknown(data: Iterable[str], known: tuple[str, ...], where: str) -> None:
     for key in data:
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
+            hint = nearest(key, known) or f"; known are {', '.join(known)}"
             raise ScenarioError(f"{where} has no {key!r}{hint}")

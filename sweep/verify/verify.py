@@ -19,8 +19,9 @@ import numpy as np
 from ...plant.damping.control import DampingSettings
 from ...plant.damping.estimator import SAMPLE_S, WINDOW_S
 from ...plant.damping.events import Event, Fault, Scenario, Trajectory, conditions_at, simulate
+from ...plant.errors import SeqsweepError, in_words
 from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
-from ...plant.registry import in_words, make_plant
+from ...plant.registry import make_plant
 from ...tuning.siso import Grid
 from .scenario import Story
 
@@ -40,7 +41,7 @@ _LARGE = 0.5
 CauseGone = Callable[[Conditions], bool]
 
 
-class VerifyError(ValueError):
+class VerifyError(SeqsweepError):
     """A tuning that cannot be verified in time, with the way out."""
 
 

@@ -1,0 +1,46 @@
+"""What is refused, and the words for it: every other exception that reaches the command line is a fault of ours.
+
+A refusal says what was given, what was needed, in which unit, and the way out. It is a `SeqsweepError`,
+and so a `ValueError`; the command line turns exactly that class into "the input is wrong". numpy raises
+plain `ValueError` for shapes that do not fit: such a thing is a bug here, never a user's mistake.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+MOST_CHARACTERS = 300
+"""Length of a reason: it goes over a pipe, and into a row."""
+
+_OURS = __name__.partition(".")[0]
+
+
+class SeqsweepError(ValueError):
+    """Something given cannot be used as it is; the message says what would be needed."""
+
+
+def closest(given: str, known: Iterable[str]) -> str | None:
+    """The one of ``known`` that ``given`` may have meant, if there is one."""
+    folded = {name.lower(): name for name in sorted(known)}
+    close = difflib.get_close_matches(given.lower(), folded, n=1)
+    return folded[close[0]] if close else None
+
+
+def nearest(given: str, known: Iterable[str]) -> str:
+    """A hint in brackets, " (did you mean 'x'?)", where one of ``known`` is nearly ``given``; else nothing."""
+    close = closest(given, known)
+    return "" if close is None else f" (did you mean {close!r}?)"
+
+
+def in_words(error: BaseException) -> str:
+    """What an error says; its class is told, too, where the text alone may be no sentence."""
+    text = " ".join(str(error).split())
+    ours = type(error).__module__.startswith(f"{_OURS}.")
+    is_clear = ours or isinstance(error, ValueError | ImportError | RuntimeError)
+    return text if text and is_clear else f"{type(error).__name__}: {text}".rstrip(": ")
+
+
+def reason_of(error: BaseException) -> str:
+    """What a plant raised, as the reason of its rows: in the same words here and in a child process."""
+    return in_words(error)[:MOST_CHARACTERS]
