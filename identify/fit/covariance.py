@@ -15,6 +15,7 @@ from .least_squares import (
     datum_variance,
     floor_cost,
     inverse_r,
+    inverted,
     projected_jacobian,
     refine,
     solve_residues,
@@ -116,10 +117,7 @@ def _covariance_root(problem: Problem, trial: Trial, linear: Linear) -> np.ndarr
     """
     jacobian, inside = projected_jacobian(problem, trial, linear)
     m, c = jacobian.shape[1], linear.r.shape[1]
-    size = np.linalg.norm(jacobian, axis=0)
-    size[size == 0.0] = 1.0
-    u, singular, vh = np.linalg.svd(jacobian / size, full_matrices=False)
-    poles = vh.T / np.maximum(singular, 1e-13 * singular.max(initial=0.0)) / size[:, None]
+    poles, u = inverted(jacobian)
     r_inverse = inverse_r(linear)
     root = np.zeros((m + ELEMENTS * c,) * 2)
     root[:m, :m] = poles

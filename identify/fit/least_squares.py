@@ -9,6 +9,9 @@ import numpy as np
 from .dq_data import ELEMENTS, DqData
 from .partial_fractions import basis, counts_upper, order_of, pairs_joined, separated
 
+_STATED = (
+    0.3  # a misfit below this part of the stated errors counts no further: what they hold besides noise is no mode
+)
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
@@ -16,7 +19,8 @@ class Problem(NamedTuple):
     """Weighted data in one shape: s (n,) rad/s, y (4, n) S, weight (4, n), floor in units of the weighted misfit.
 
     ``noise`` (n, 8, 8) is the covariance of the weighted data over (re, im) of each element, to a factor; None where
-    only the misfit can tell.
+    only the misfit can tell. ``n_unstable`` is the number of poles in the right half-plane that experiment has proved;
+    None: whatever fits. Zero holds every pole in the left half-plane at every step.
     """
 
     s: np.ndarray
@@ -26,6 +30,7 @@ class Problem(NamedTuple):
     floor: float
     weighting: str
     noise_floor: float
+    n_unstable: int | None = None
 
 
 class Trial(NamedTuple):
@@ -46,13 +51,14 @@ def weighted(data: DqData, noise_floor: float, part: float | None = None) -> Pro
     if data.std is None:
         weight = np.broadcast_to(1.0 / size, y.shape)
         return Problem(s, y, weight, None, noise_floor, "relative", noise_floor)
-    weight = 1.0 / np.hypot(data.std.reshape(-1, ELEMENTS).T, part * size)
+    std = data.std.reshape(-1, ELEMENTS).T
+    weight = 1.0 / np.hypot(std, part * size)
     by_row = np.repeat(weight.T, 2, axis=1)
-    own = np.repeat(data.std.reshape(-1, ELEMENTS) ** 2, 2, axis=1)[:, :, None] * np.eye(2 * ELEMENTS)
+    own = np.repeat(std.T**2, 2, axis=1)[:, :, None] * np.eye(2 * ELEMENTS)
     noise = own if data.covariance is None else data.covariance
     noise = noise + (part * size)[:, None, None] ** 2 * np.eye(2 * ELEMENTS)
     noise = noise * by_row[:, :, None] * by_row[:, None, :]
-    floor = float(np.sqrt(np.mean((noise_floor * size * weight) ** 2)))
+    floor = float(np.sqrt(np.mean(((noise_floor * size) ** 2 + (_STATED * std) ** 2) * weight**2)))
     return Problem(s, y, weight, noise, floor, "covariance", noise_floor)
 
 
@@ -120,6 +126,22 @@ def datum_variance(problem: Problem, trial: Trial, linear: Linear) -> float:
     return max(linear.cost / max(freedom, 1), (1e-3 * problem.floor) ** 2)
 
 
+def pole_std(problem: Problem, trial: Trial) -> np.ndarray:
+    """(m,) standard errors of the real parts of the poles (rad/s), noise taken as the weights have it."""
+    linear = solve_residues(problem, trial.poles, trial.tail)
+    root = inverted(projected_jacobian(problem, trial, linear)[0])[0]
+    spread = np.linalg.norm(root, axis=1)[: len(trial.poles)]
+    return spread * np.sqrt(datum_variance(problem, trial, linear))
+
+
+def inverted(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """V S^-1 of a Jacobian (r, t), columns scaled, and its orthonormal columns U: errors are V S^-1 U^T noise."""
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    u, singular, vh = np.linalg.svd(jacobian / size, full_matrices=False)
+    return vh.T / np.maximum(singular, 1e-13 * singular.max(initial=0.0)) / size[:, None], u
+
+
 def inverse_r(linear: Linear) -> np.ndarray:
     """(4, c, c) whose products with their transposes are the coefficients' covariance for given poles."""
     return np.linalg.inv(_regular(linear.r)) / linear.norm[:, :, None]
@@ -150,7 +172,7 @@ def refine(problem: Problem, trial: Trial, n_iterations: int = 10) -> Trial:
         projected = u.T @ linear.misfit.ravel()
         for _ in range(6):
             step = vt.T @ (singular / (singular**2 + damping) * projected) / size
-            poles = _moved(trial.poles, step)
+            poles = held(problem, _moved(trial.poles, step))
             moved = solve_residues(problem, poles, trial.tail)
             if moved.cost < linear.cost:
                 break
@@ -162,6 +184,11 @@ def refine(problem: Problem, trial: Trial, n_iterations: int = 10) -> Trial:
         if gain < 1e-7 * linear.cost:
             break
     return trial._replace(cost=linear.cost, bic=bic_of(problem, linear.cost, order_of(trial.poles), trial.tail))
+
+
+def held(problem: Problem, poles: np.ndarray) -> np.ndarray:
+    """The poles; where the device is proved stable, those in the right half-plane mirrored into the left one."""
+    return -np.abs(poles.real) + 1j * poles.imag if problem.n_unstable == 0 else poles
 
 
 def _moved(poles: np.ndarray, step: np.ndarray) -> np.ndarray:

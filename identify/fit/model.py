@@ -10,14 +10,20 @@ spurious goes, in this order, each step with a refit of the rest:
 
 1. a pole that a single row asks for: with that row left out, the fit without the pole has the lower BIC;
 2. a pole whose removal lowers the BIC, whichever half-plane it is in;
-3. poles in the right half-plane without which the misfit stays below 1e-4 of Y;
+3. one by one, poles in the right half-plane or within two standard errors of it without which the misfit stays below
+   1e-4 of Y;
 4. outside the swept band, where the data may not tell -p from p, a pole in the right half-plane gives way to its
    stable mirror image if that fits as well.
 
-All other poles in the right half-plane stay: the device may be unstable by itself. What was done is in the notes.
+How many poles the device has in the right half-plane is not for the fit to say where an experiment said it: a device
+whose disturbed runs came to rest on an ideal source has none, and the poles are held in the left half-plane at every
+step (``n_unstable = 0``). Where as many are known to be there, those beyond are mirrored or removed, the least missed
+first, and each counts once. Where nothing is known, those that are left stay. What was done is in the notes.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -26,7 +32,7 @@ from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
 from .least_squares import Problem, Trial, refine, solve_residues, weighted
-from .order import drop_faint_instability, drop_outliers, prune, select_order, settle_far_poles
+from .order import drop_faint, drop_outliers, prune, select_order, settle_far_poles, settle_instability
 from .partial_fractions import order_of, upper_half
 from .rational import RationalModel
 from .vector_fit import vector_fit
@@ -43,6 +49,7 @@ def fit_response(
     max_order: int = 24,
     noise_floor: float = 1e-7,
     start: RationalModel | None = None,
+    n_unstable: int | None = None,
 ) -> RationalModel:
     """Rational model of one operating point.
 
@@ -57,6 +64,9 @@ def fit_response(
         Relative misfit below which a higher order no longer counts as better.
     start : RationalModel or None
         A model of a neighbouring operating point: its poles are the starting point, which saves time.
+    n_unstable : int or None
+        How many unstable poles of its own the device is known to have, conjugates counted. None: zero where
+        ``response.meta["stable_on"]`` says that its disturbed runs came to rest on an ideal source, else whatever fits.
 
     Returns
     -------
@@ -80,19 +90,27 @@ def fit_response(
             f"{len(data.nu_hz)} of {len(response)} rows are usable; a rational model needs at least {MIN_POINTS}: "
             "sweep more frequencies, or repair the rows whose status is not 'ok'"
         )
-    problem = weighted(data, noise_floor)
+    known = _proved(response) if n_unstable is None else n_unstable
+    problem = weighted(data, noise_floor)._replace(n_unstable=known)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
     trial = select_order(problem, max_order, start)
     part = _unexplained_part(problem, trial)
     if part is not None:
-        problem = weighted(data, noise_floor, part)
+        problem = weighted(data, noise_floor, part)._replace(n_unstable=known)
         trial = select_order(problem, max_order, start)
     trial = refine(problem, trial)
     problem, trial, notes = drop_outliers(problem, trial)
     trial = prune(problem, trial)
-    trial, removed = drop_faint_instability(problem, trial)
+    trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
+    trial = settle_instability(problem, trial)
     return finished(problem, response.f1_hz, trial, notes + removed + mirrored)
+
+
+def _proved(response: FrequencyResponse) -> int | None:
+    """Zero unstable poles of its own where the device's disturbed runs came to rest on an ideal source, else None."""
+    fact = response.meta.get("stable_on")
+    return 0 if isinstance(fact, Mapping) and fact.get("grid") == "ideal" else None
 
 
 def _unexplained_part(problem: Problem, trial: Trial) -> float | None:

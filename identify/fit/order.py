@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .dq_data import ELEMENTS
-from .least_squares import Problem, Trial, floor_cost, refine, solve_residues, trial_at
+from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_residues, trial_at
 from .partial_fractions import basis, order_of, upper_half
 from .rational import RationalModel
 from .vector_fit import vector_fit
@@ -108,18 +108,59 @@ def _reductions(problem: Problem, trial: Trial) -> list[tuple[np.ndarray, int]]:
     return found + [(np.delete(trial.poles, k), 2) for k in far]
 
 
-def drop_faint_instability(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
-    """Remove poles in the right half-plane that Y does not need to 1e-4: errors of the sweep ask for them."""
-    stable = trial
-    while np.any(stable.poles.real > 0.0):
-        kept = stable.poles[stable.poles.real <= 0.0]
-        stable = refine(problem, trial_at(problem, kept, trial.tail), n_iterations=30)
-    n_left_out = order_of(trial.poles) - order_of(stable.poles)
-    misfit = _relative_misfit(problem, stable)
-    if n_left_out == 0 or misfit > _FAINT:
+def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
+    """Remove, one by one, poles of no certain half-plane that Y does not need to 1e-4.
+
+    Errors of the sweep ask for such poles. One by one: a true instability must not keep spurious ones beside it.
+    """
+    n_before, needed = order_of(trial.poles), np.zeros(0, dtype=complex)
+    while True:
+        doubtful = _doubtful(problem, trial, needed)
+        if len(doubtful) == 0:
+            break
+        tried = [trial_at(problem, np.delete(trial.poles, k), trial.tail) for k in doubtful]
+        faintest = int(np.argmin([t.cost for t in tried]))
+        without = refine(problem, tried[faintest], n_iterations=30)
+        if _relative_misfit(problem, without) > _FAINT:
+            needed = np.append(needed, trial.poles[doubtful[faintest]])
+        else:
+            trial = without
+    n_left_out = n_before - order_of(trial.poles)
+    if n_left_out == 0:
         return trial, ()
-    note = f"{n_left_out} faint poles, unstable ones among them, left out of the fit: it matches Y to {misfit:.1g}"
-    return stable, (note,)
+    misfit = _relative_misfit(problem, trial)
+    return trial, (f"{n_left_out} faint poles of no certain sign left out of the fit: it matches Y to {misfit:.1g}",)
+
+
+def _doubtful(problem: Problem, trial: Trial, needed: np.ndarray) -> np.ndarray:
+    """Indices of poles in the right half-plane or within two standard errors of it, but for those known as needed."""
+    uncertain = trial.poles.real > -2.0 * pole_std(problem, trial)
+    known = np.any(np.abs(trial.poles[:, None] - needed) < 1e-2 * np.abs(trial.poles[:, None]), axis=1)
+    return np.flatnonzero(uncertain & ~known)
+
+
+def settle_instability(problem: Problem, trial: Trial) -> Trial:
+    """As many poles in the right half-plane as experiment proved: of those beyond, the least missed one is given up.
+
+    Given up means mirrored or removed, whichever has the lower BIC.
+    """
+    while problem.n_unstable is not None and unstable_count(trial.poles) > problem.n_unstable:
+        options = []
+        for k in np.flatnonzero(trial.poles.real > 0.0):
+            mirrored = trial.poles.copy()
+            mirrored[k] = -mirrored[k].conjugate()
+            options += [trial_at(problem, poles, trial.tail) for poles in (mirrored, np.delete(trial.poles, k))]
+        before = unstable_count(trial.poles)
+        refined = [refine(problem, t, n_iterations=30) for t in options]
+        fewer = [t for t in refined if unstable_count(t.poles) < before]
+        trial = min(fewer or options, key=lambda t: t.bic)
+    return trial
+
+
+def unstable_count(poles: np.ndarray) -> int:
+    """Poles in the right half-plane, conjugates counted, from the real ones and the upper halves."""
+    unstable = poles[poles.real > 0.0]
+    return int(len(unstable) + np.sum(unstable.imag > 0.0))
 
 
 def _relative_misfit(problem: Problem, trial: Trial) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .dq_data import ELEMENTS
-from .least_squares import Problem, Trial, floor_cost, stacked, trial_at
+from .least_squares import Problem, Trial, floor_cost, held, stacked, trial_at
 from .partial_fractions import basis, counts_upper, order_of, upper_half
 
 
@@ -46,7 +46,7 @@ def _relocate(problem: Problem, poles: np.ndarray, tail: int) -> np.ndarray | No
     if not np.all(np.isfinite(c)) or abs(c[-1]) < 1e-12:
         return None
     a, b = _realisation(poles)
-    return upper_half(np.linalg.eigvals(a - np.outer(b, c[:m]) / c[-1]))
+    return upper_half(held(problem, np.linalg.eigvals(a - np.outer(b, c[:m]) / c[-1])))
 
 
 def _realisation(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
