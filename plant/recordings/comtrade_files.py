@@ -8,15 +8,22 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from math import ceil
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .number_table import decoded, read_numbers, refuse_too_large, unfit_note
+from ..foreign.cells import Kind
+from ..foreign.clean_text import decoded
+from .alignment import aligned
+from .comtrade_config import clean_lines
+from .names import channels_of
+from .number_table import Columns, read_numbers, refuse_too_large, unfit_note
 from .recording import BLOCK, Channel, Recording, RecordingError, Samples, in_memory
+from .timebase import TimeBase, time_base
 
 CFG_LIMIT_BYTES = 8 << 20
 RAW = {"BINARY": "<i2", "BINARY32": "<i4", "FLOAT32": "<f4"}
@@ -39,11 +46,12 @@ class _Dat(NamedTuple):
 
 
 class _Section(NamedTuple):
-    """Samples ``start`` to ``stop`` share one rate (Hz; 0: the time stamps say)."""
+    """Samples ``start`` to ``stop`` share one rate (Hz; 0: the time stamps say); None: nobody says when it begins."""
 
     start: int
     stop: int
     rate_hz: float
+    start_s: float | None = 0.0
 
 
 def read(path: Path, sample_rate_hz: float | None) -> Recording:
@@ -60,18 +68,21 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
     elif n_found > announced > 0:
         found_notes += (f"{n_found} samples where {announced} were announced: those beyond are not read",)
     section, section_notes = _longest(cfg, min(n_found, announced) if announced > 0 else n_found)
-    dt_s, time_notes = _step(path, section, stamps, sample_rate_hz)
-    return Recording(
+    base = _time_base(path, section, stamps, sample_rate_hz)
+    recording = Recording(
         path=path,
         format=f"COMTRADE {cfg.rev_year} {dat.format}",
-        channels=tuple(_channel(each, dat.format) for each in cfg.analog_channels),
+        channels=_channels(cfg, dat.format),
         n_samples=section.stop - section.start,
-        t0_s=section.start * dt_s,
-        dt_s=dt_s,
+        t0_s=base.t0_s,
+        dt_s=base.dt_s,
         samples=lambda columns, start, stop: samples(columns, section.start + start, section.start + stop),
         header_f1_hz=cfg.frequency or None,
-        notes=(*notes, *more, *found_notes, *section_notes, *time_notes, *_skews(cfg)),
+        notes=(*notes, *more, *found_notes, *section_notes, *base.notes, *_ratios(cfg)),
     )
+    if recording.n_samples < 2:
+        return recording
+    return aligned(recording, [1e-6 * float(each.skew or 0.0) for each in cfg.analog_channels])
 
 
 # Configuration
@@ -118,7 +129,7 @@ def _cff(path: Path) -> tuple[str, _Dat, tuple[str, ...]]:
 
 def _parsed(path: Path, text: str) -> tuple[Any, tuple[str, ...]]:
     """The package's configuration object; its strictness about dates must not cost the recording."""
-    lines = text.replace("\x1a", "").strip().splitlines()
+    lines = clean_lines(path, text)
     try:
         return _checked(path, _cfg("\n".join(lines))), ()
     except RecordingError:
@@ -142,9 +153,9 @@ def _cfg(text: str) -> Any:
 
 def _undated(lines: list[str]) -> list[str]:
     """The same configuration with dates that any parser takes."""
-    _, analog, status = (cell.strip() for cell in lines[1].split(","))
+    _, analog, status = (cell.strip() for cell in lines[1].split(",")[:3])
     first = 4 + int(analog[:-1]) + int(status[:-1])
-    at = first + max(1, int(lines[first - 1]))
+    at = first + max(1, int(float(lines[first - 1].split(",")[0])))
     plain = "01/01/2000,00:00:00.000000"
     return [*lines[:at], plain, plain, *lines[at + 2 :]]
 
@@ -158,12 +169,21 @@ def _checked(path: Path, cfg: Any) -> Any:
     return cfg
 
 
-def _channel(analog: Any, data_format: str) -> Channel:
+def _channels(cfg: Any, data_format: str) -> tuple[Channel, ...]:
+    analog = cfg.analog_channels
+    named = channels_of([each.name for each in analog], [each.uu.strip() for each in analog])
+    return tuple(
+        replace(channel, phase=each.ph, limits=_limits(each, data_format))
+        for channel, each in zip(named, analog, strict=True)
+    )
+
+
+def _limits(analog: Any, data_format: str) -> tuple[float, float] | None:
+    """Ends of the recorder's range, where it has any."""
+    if not analog.cmax > analog.cmin or data_format == "FLOAT32":
+        return None
     ratio = _ratio(analog)
-    limits = None
-    if analog.cmax > analog.cmin and data_format != "FLOAT32":
-        limits = (ratio * (analog.a * analog.cmin + analog.b), ratio * (analog.a * analog.cmax + analog.b))
-    return Channel(analog.name, analog.uu, analog.ph, limits)
+    return (ratio * (analog.a * analog.cmin + analog.b), ratio * (analog.a * analog.cmax + analog.b))
 
 
 def _ratio(analog: Any) -> float:
@@ -172,12 +192,10 @@ def _ratio(analog: Any) -> float:
     return float(analog.primary / analog.secondary) if on_secondary else 1.0
 
 
-def _skews(cfg: Any) -> tuple[str, ...]:
-    skewed = [each.name for each in cfg.analog_channels if each.skew]
+def _ratios(cfg: Any) -> tuple[str, ...]:
     ratios = sorted({_ratio(each) for each in cfg.analog_channels} - {1.0})
-    notes = (f"time skew of {', '.join(skewed[:6])} is not corrected",) if skewed else ()
     shown = ", ".join(f"{ratio:g}" for ratio in ratios[:6])
-    return (*notes, f"secondary values, turned to primary by ratios {shown}") if ratios else notes
+    return (f"secondary values, turned to primary by ratios {shown}",) if ratios else ()
 
 
 # Samples
@@ -208,9 +226,8 @@ def _binary(cfg: Any, dat: _Dat) -> tuple[Samples, Iterator[np.ndarray], int, tu
             values[gone] = np.nan
         return values
 
-    unit = cfg.time_base * cfg.timemult
     blocks = range(0, n_rows, BLOCK)
-    stamps = (_stamps(_rows(dat, row, start, min(start + BLOCK, n_rows))["t"], unit) for start in blocks)
+    stamps = _stamps((_rows(dat, row, start, min(start + BLOCK, n_rows))["t"] for start in blocks), _unit_s(cfg))
     return samples, stamps, n_rows, (f"{rest} bytes at the end are no whole row",) if rest else ()
 
 
@@ -255,8 +272,23 @@ def _scales(cfg: Any) -> tuple[np.ndarray, np.ndarray]:
     return ratio * a, ratio * b
 
 
-def _stamps(raw: np.ndarray, unit: float) -> np.ndarray:
-    return np.where(raw == NO_STAMP, np.nan, raw * unit)
+def _unit_s(cfg: Any) -> float:
+    """Seconds per unit of a time stamp."""
+    unit = float(cfg.time_base * cfg.timemult)
+    return unit if np.isfinite(unit) and unit > 0.0 else 1e-6
+
+
+def _stamps(raw: Iterable[np.ndarray], unit_s: float) -> Iterator[np.ndarray]:
+    """Time stamps (s) in blocks, NaN where there is none; 32 bits begin anew when they are full, time does not."""
+    turns, last = 0, 0
+    for block in raw:
+        known = block != NO_STAMP
+        count = np.where(known, block, 0).astype(np.int64)
+        wraps = np.diff(count, prepend=last) < -(2**31)
+        total = count + 2**32 * (turns + np.cumsum(wraps & known))
+        if len(block):
+            turns, last = int(total[-1] - count[-1]) >> 32, int(count[-1])
+        yield np.where(known, total * unit_s, np.nan)
 
 
 def _ascii(cfg: Any, dat: _Dat) -> tuple[Samples, Iterator[np.ndarray], int, tuple[str, ...]]:
@@ -266,7 +298,7 @@ def _ascii(cfg: Any, dat: _Dat) -> tuple[Samples, Iterator[np.ndarray], int, tup
     with open(dat.path, "rb") as file:
         file.seek(dat.offset)
         source = file if dat.offset == 0 else io.BytesIO(_until_next_section(file.read(dat.n_bytes)))
-        table = read_numbers(dat.path, source, n_columns, ",")
+        table = read_numbers(dat.path, source, Columns(_kinds(source, n_columns), ","))
     if len(table.unfit) > 1 or not table.parts:
         raise RecordingError(
             f"{dat.path}: rows of {n_columns} numbers were announced ({cfg.analog_count} analog, {cfg.status_count} "
@@ -281,8 +313,17 @@ def _ascii(cfg: Any, dat: _Dat) -> tuple[Samples, Iterator[np.ndarray], int, tup
             raw *= scale[k]
             raw += offset[k]
     stored = in_memory([part[:, 2 : 2 + cfg.analog_count] for part in table.parts])
-    unit = cfg.time_base * cfg.timemult
-    return stored, (part[:, 1] * unit for part in table.parts), table.n_rows, unfit_note(table.unfit, "the .dat")
+    counts = (np.nan_to_num(part[:, 1], nan=NO_STAMP).clip(0, NO_STAMP) for part in table.parts)
+    return stored, _stamps(counts, _unit_s(cfg)), table.n_rows, unfit_note(table.unfit, "the .dat")
+
+
+def _kinds(source: Any, n_columns: int) -> list[Kind]:
+    """Numbers, and a last column of nothing where there is a comma at the end of the rows."""
+    start = source.tell()
+    line = source.readline(1 << 16).rstrip()
+    source.seek(start)
+    more: list[Kind] = ["empty"] if line.endswith(b",") and line.count(b",") == n_columns else []
+    return [*["number"] * n_columns, *more]  # type: ignore[list-item]
 
 
 def _until_next_section(raw: bytes) -> bytes:
@@ -295,10 +336,13 @@ def _until_next_section(raw: bytes) -> bytes:
 
 def _longest(cfg: Any, n_samples: int) -> tuple[_Section, tuple[str, ...]]:
     """The section of one rate with most samples; there may be several rates in a file."""
-    sections, start = [], 0
+    sections: list[_Section] = []
+    start = 0
+    start_s: float | None = 0.0
     for rate, end in cfg.sample_rates:
         stop = min(int(end), n_samples) if end else n_samples
-        sections.append(_Section(start, stop, float(rate)))
+        sections.append(_Section(start, stop, float(rate), start_s))
+        start_s = start_s + (stop - start) / rate if start_s is not None and rate > 0.0 else None
         start = stop
     longest = max(sections, key=lambda section: section.stop - section.start)
     if len(sections) == 1:
@@ -307,42 +351,96 @@ def _longest(cfg: Any, n_samples: int) -> tuple[_Section, tuple[str, ...]]:
     return longest, (f"several sampling rates ({rates}): only the longest section is used",)
 
 
-def _step(
-    path: Path, section: _Section, stamps: Iterator[np.ndarray], sample_rate_hz: float | None
-) -> tuple[float, tuple[str, ...]]:
-    """Sampling step (s) of a section, its time stamps compared with the rate the configuration claims."""
-    stamped = _stamped_step(path, section, stamps)
-    claimed = 1.0 / section.rate_hz if section.rate_hz > 0.0 else None
+def _time_base(path: Path, section: _Section, stamps: Iterator[np.ndarray], sample_rate_hz: float | None) -> TimeBase:
+    """Start and step (s) of a section: as asked, as the configuration claims, or as its time stamps say."""
     if sample_rate_hz is not None:
-        return 1.0 / sample_rate_hz, (f"{sample_rate_hz:g} samples per second, as asked",)
-    if claimed is None:
-        if stamped is None:
-            raise RecordingError(f"{path}: neither a sampling rate nor time stamps: give --sample-rate HZ")
-        return stamped, ()
-    if stamped is not None and abs(stamped / claimed - 1.0) > 1e-3:
-        return claimed, (
-            f"the configuration says {1 / claimed:.6g} samples per second, the time stamps {1 / stamped:.6g}: the "
-            "former is used; --sample-rate HZ overrules it",
-        )
-    return claimed, ()
+        note = f"{sample_rate_hz:g} samples per second, as asked"
+        return TimeBase(section.start_s or 0.0, 1.0 / sample_rate_hz, (note,))
+    mine = _of_section(section, stamps)
+    if not section.rate_hz > 0.0:
+        return time_base(path, _all_there(path, mine))
+    claimed = 1.0 / section.rate_hz
+    seen = _seen(mine)
+    start_s = section.start_s
+    if start_s is None:
+        start_s = section.start * claimed if seen is None else seen.first_s
+    return TimeBase(start_s, claimed, () if seen is None else _compared(path, section, seen, claimed))
 
 
-def _stamped_step(path: Path, section: _Section, stamps: Iterator[np.ndarray]) -> float | None:
-    """Mean step (s) of the time stamps of a section; None where they are missing or all the same."""
-    at, first, last, n = 0, np.nan, np.nan, 0
+def _of_section(section: _Section, stamps: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Time stamps (s) of a section, in blocks."""
+    at = 0
     for block in stamps:
         mine = block[max(0, section.start - at) : max(0, section.stop - at)]
         at += len(block)
-        known = mine[np.isfinite(mine)]
-        if len(known) < len(mine):
+        if len(mine):
+            yield mine
+
+
+def _all_there(path: Path, stamps: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    for block in stamps:
+        if not np.all(np.isfinite(block)):
+            raise RecordingError(f"{path}: neither a sampling rate nor time stamps: give --sample-rate HZ")
+        yield block
+
+
+class _Seen(NamedTuple):
+    """What time stamps (s) say: first and last, their number, the shortest and the longest step, and where they are."""
+
+    first_s: float
+    last_s: float
+    n: int
+    shortest_s: float
+    shortest_at: int
+    longest_s: float
+    longest_at: int
+
+
+def _seen(stamps: Iterable[np.ndarray]) -> _Seen | None:
+    """None where a stamp is missing, or all are the same."""
+    seen: _Seen | None = None
+    for block in stamps:
+        if not np.all(np.isfinite(block)):
             return None
-        backwards = np.diff(known, prepend=known[:1] if n == 0 else last) < 0.0
-        if np.any(backwards) and known[int(np.argmax(backwards))] > 0.0:
-            k = n + int(np.argmax(backwards))
-            raise RecordingError(
-                f"{path}: time stamps run backwards at sample {section.start + k + 1}: the file holds several "
-                "recordings, or is damaged; cut it there"
-            )
-        if len(known):
-            first, last, n = (float(known[0]) if n == 0 else first), float(known[-1]), n + len(known)
-    return (last - first) / (n - 1) if n > 1 and last > first else None
+        seen = seen or _Seen(float(block[0]), float(block[0]), 0, np.inf, 0, -np.inf, 0)
+        steps = np.diff(block, prepend=seen.last_s)
+        least, most = int(np.argmin(steps)), int(np.argmax(steps))
+        if seen.n == 0 and len(steps) > 1:
+            least, most = 1 + int(np.argmin(steps[1:])), 1 + int(np.argmax(steps[1:]))
+        seen = seen._replace(last_s=float(block[-1]), n=seen.n + len(block))
+        if steps[least] < seen.shortest_s:
+            seen = seen._replace(shortest_s=float(steps[least]), shortest_at=seen.n - len(block) + least)
+        if steps[most] > seen.longest_s:
+            seen = seen._replace(longest_s=float(steps[most]), longest_at=seen.n - len(block) + most)
+    return seen if seen is not None and seen.n > 1 and seen.longest_s > 0.0 else None
+
+
+def _compared(path: Path, section: _Section, seen: _Seen, claimed_s: float) -> tuple[str, ...]:
+    """What is to be said where time stamps and the claimed step disagree.
+
+    Raises
+    ------
+    RecordingError
+        If the stamps run backwards, or leave out a piece.
+    """
+    if seen.shortest_s < 0.0:
+        raise RecordingError(
+            f"{path}: time stamps run backwards at sample {section.start + seen.shortest_at + 1}: the file holds "
+            "several recordings, or is damaged; cut it there, or give --sample-rate HZ where the stamps mean nothing"
+        )
+    stamped = (seen.last_s - seen.first_s) / (seen.n - 1)
+    if abs(stamped / claimed_s - 1.0) <= 1e-3 and seen.longest_s < 1.5 * claimed_s:
+        return ()
+    missing_s = seen.last_s - seen.first_s - (seen.n - 1) * claimed_s
+    if missing_s > 2.0 * claimed_s and seen.longest_s - claimed_s > 0.9 * missing_s:
+        raise RecordingError(
+            f"{path}: {seen.longest_s:.6g} s lie between the time stamps of samples {section.start + seen.longest_at} "
+            f"and {section.start + seen.longest_at + 1}, where the step is {claimed_s:.6g} s: there is a gap; cut the "
+            "file there, or give --sample-rate HZ where the stamps mean nothing"
+        )
+    if abs(stamped / claimed_s - 1.0) <= 1e-3:
+        return ()
+    return (
+        f"the configuration says {1 / claimed_s:.6g} samples per second, the time stamps {1 / stamped:.6g}: the "
+        "former is used; --sample-rate HZ overrules it",
+    )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .clock_times import since_first
 from .names import base_from, channels_of, time_column
-from .recording import TEXT_LIMIT_BYTES, Recording, RecordingError
+from .recording import TEXT_LIMIT_BYTES, Channel, Recording, RecordingError
 
 
 def read(path: Path, sample_rate_hz: float | None) -> Recording:
@@ -19,21 +21,23 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
 
     try:
         file = pq.ParquetFile(path)
-    except (pa.ArrowException, OSError) as error:
-        raise RecordingError(f"{path}: not a Parquet file, or a truncated one ({str(error)[:120]})") from None
-    numeric = [field for field in file.schema_arrow if _is_number(field.type)]
+        fields = list(file.schema_arrow)
+        columns = [field.name for field in fields]
+        index = _index(file.schema_arrow)
+    except (pa.ArrowException, OSError, ValueError) as error:  # a name that is no UTF-8 is a ValueError
+        words = " ".join(str(error).split())[:120]
+        raise RecordingError(f"{path}: not a Parquet file, or a damaged one ({words})") from None
+    numeric = [k for k, field in enumerate(fields) if _is_number(field.type)]
     if not numeric:
-        kinds = ", ".join(f"{field.name} ({field.type})" for field in file.schema_arrow)
+        kinds = ", ".join(f"{field.name} ({field.type})" for field in fields)
         raise RecordingError(f"{path}: no column of numbers; one per channel is needed, there are {kinds[:200]}")
     _refuse_large_groups(path, file.metadata)
-    columns = [field.name for field in numeric]
-    units = [(field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for field in numeric]
+    units = [_metadata(field, b"unit") for field in fields]
     channels = channels_of(columns, units)
     groups = _Groups(path, file)
-    at = time_column(channels)
-    time = None if at is None else (block[:, 0] for block in groups.all([columns[at]]))
-    base = base_from(path, None if at is None else channels[at], time, sample_rate_hz)
-    kept = [k for k in range(len(columns)) if k != at]
+    at = _time_column(fields, channels, index)
+    base = base_from(path, None if at is None else channels[at], _times(groups, fields, at), sample_rate_hz)
+    kept = [k for k in numeric if k != at and columns[k] not in index]
     return Recording(
         path=path,
         format="Parquet",
@@ -44,6 +48,47 @@ def read(path: Path, sample_rate_hz: float | None) -> Recording:
         samples=lambda asked, start, stop: groups.samples([columns[kept[k]] for k in asked], start, stop),
         notes=base.notes,
     )
+
+
+def _metadata(field: Any, key: bytes) -> str:
+    return str((field.metadata or {}).get(key, b"").decode("utf-8", "replace"))
+
+
+def _index(schema: Any) -> list[str]:
+    """Columns that pandas would make the index of its table."""
+    try:
+        said = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
+        return [each for each in said.get("index_columns", []) if isinstance(each, str)]
+    except (ValueError, AttributeError, TypeError):
+        return []
+
+
+def _time_column(fields: Sequence[Any], channels: list[Channel], index: Sequence[str]) -> int | None:
+    """The column called time, else one of time stamps, else an index of fractions."""
+    import pyarrow.types as types
+
+    named = time_column(channels)
+    stamps = [k for k, field in enumerate(fields) if _ticks_per_s(field.type)]
+    counted = [k for k, field in enumerate(fields) if field.name in index and types.is_floating(field.type)]
+    return next(iter(([] if named is None else [named]) + stamps + counted), None)
+
+
+def _times(groups: _Groups, fields: Sequence[Any], at: int | None) -> Iterator[np.ndarray] | None:
+    if at is None:
+        return None
+    ticks = _ticks_per_s(fields[at].type)
+    if ticks:
+        return since_first(groups.ticks(fields[at].name), 1.0 / ticks)
+    return (block[:, 0] for block in groups.all([fields[at].name]))
+
+
+def _ticks_per_s(kind: Any) -> float:
+    """Units of a time stamp, duration or time of day per second; 0 for other types."""
+    import pyarrow.types as types
+
+    if not (types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)):
+        return 0.0
+    return {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit]
 
 
 def _is_number(kind: Any) -> bool:
@@ -73,6 +118,17 @@ class _Groups:
         """Every row group (n, names) in order."""
         return (self._group(k, tuple(names)) for k in range(len(self._ends)))
 
+    def ticks(self, name: str) -> Iterator[np.ndarray]:
+        """A column of time stamps as the integers that they are."""
+        import pyarrow as pa
+
+        for k in range(len(self._ends)):
+            column = self._read(k, [name]).column(name)
+            if column.null_count:
+                raise RecordingError(f"{self._path}: a time is missing in {name!r}")
+            kind = pa.int32() if column.type.bit_width == 32 else pa.int64()
+            yield column.cast(kind).to_numpy().astype(np.int64)
+
     def samples(self, names: Sequence[str], start: int, stop: int) -> np.ndarray:
         """Rows ``start`` to ``stop``, (n, names)."""
         first = int(np.searchsorted(self._ends, start, side="right"))
@@ -89,10 +145,16 @@ class _Groups:
         import pyarrow as pa
 
         if self._key != (number, names):
-            try:
-                table = self._file.read_row_group(number, columns=list(names), use_threads=False)
-            except (pa.ArrowException, OSError) as error:
-                raise RecordingError(f"{self._path}: damaged, row group {number} cannot be read ({error})") from None
+            table = self._read(number, names)
             self._kept = np.array([table.column(name).cast(pa.float64()).to_numpy() for name in names]).T
             self._key = number, names
         return self._kept
+
+    def _read(self, number: int, names: Sequence[str]) -> Any:
+        import pyarrow as pa
+
+        try:
+            return self._file.read_row_group(number, columns=list(names), use_threads=False)
+        except (pa.ArrowException, OSError) as error:
+            words = " ".join(str(error).split())[:120]
+            raise RecordingError(f"{self._path}: damaged, row group {number} cannot be read ({words})") from None

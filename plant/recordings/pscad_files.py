@@ -6,15 +6,14 @@ Runs of one case are called ``case_r00001_01.out``. Descriptors need not be in o
 
 from __future__ import annotations
 
-import io
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from ..foreign.clean_text import FORTRAN, Mending, decoded
 from .names import base_from
-from .number_table import decoded, read_numbers, refuse_too_large, unfit_note
+from .number_table import Columns, read_numbers, refuse_too_large, unfit_note
 from .recording import Channel, Recording, RecordingError, in_memory
 
 PER_FILE = 10
@@ -131,7 +130,7 @@ def _out(path: Path) -> np.ndarray:
     with open(path, "rb") as file:
         for _ in range(first):
             file.readline()
-        table = read_numbers(path, _Squeezed(file), numbers[first], " ")
+        table = read_numbers(path, file, Columns(["number"] * numbers[first], " ", mending=Mending(squeeze=True)))
     if len(table.unfit) > 1 or not table.parts:
         raise RecordingError(
             f"{path}: {unfit_note(table.unfit, 'the file')}; {numbers[first]} numbers per row are needed"
@@ -141,24 +140,9 @@ def _out(path: Path) -> np.ndarray:
 
 def _n_numbers(line: bytes) -> int:
     try:
-        return len([float(cell) for cell in line.split()])
+        return len([float(cell) for cell in FORTRAN.sub(b"E", line).split()])
     except ValueError:
         return 0
-
-
-class _Squeezed(io.RawIOBase):
-    """A text file whose runs of blanks have become one: whole lines at a time, never more than asked."""
-
-    def __init__(self, file: Any):
-        self._file = file
-
-    def readable(self) -> bool:
-        return True
-
-    def read(self, size: int = -1, /) -> bytes:
-        raw = self._file.read(max(1, size - LONGEST_LINE)) if size >= 0 else self._file.read()
-        raw += self._file.readline(LONGEST_LINE - 1)
-        return re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb"[ \t]+", b" ", raw))
 
 
 def _refuse_different_times(prefix: Path, tables: dict[int, np.ndarray]) -> None:

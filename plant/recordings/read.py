@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+from ..foreign.layout import LayoutError
 from .recording import Recording, RecordingError
 
 _readers: dict[str, str] = {}
@@ -38,20 +39,28 @@ def read_recording(path: str | Path, *, sample_rate_hz: float | None = None) -> 
         If the file is missing, of no known format, damaged, or has no uniform time.
     """
     path = Path(path)
+    check_file(path, sample_rate_hz)
+    target = _readers[path.suffix.lower()]
+    module, name = target.split(":")
+    try:
+        recording: Recording = getattr(importlib.import_module(f".{module}", __package__), name)(path, sample_rate_hz)
+    except LayoutError as error:
+        raise RecordingError(str(error)) from None
+    if recording.n_samples < 2 or not recording.channels:
+        raise RecordingError(f"{path}: {len(recording.channels)} channels of {recording.n_samples} samples: no data")
+    return recording
+
+
+def check_file(path: Path, sample_rate_hz: float | None) -> None:
+    """Refuse what no reader can open; raises `RecordingError`."""
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
     if not path.is_file():
         raise RecordingError(f"{path}: not a file; for a folder name its files, or use its name with `identify`")
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise RecordingError(f"a sample rate of {sample_rate_hz:g} Hz is none: a positive number is needed")
-    target = _readers.get(path.suffix.lower())
-    if target is None:
+    if path.suffix.lower() not in _readers:
         raise RecordingError(f"{path}: no reader for {path.suffix or 'a file without suffix'!r}; known are {_known()}")
-    module, name = target.split(":")
-    recording: Recording = getattr(importlib.import_module(f".{module}", __package__), name)(path, sample_rate_hz)
-    if recording.n_samples < 2 or not recording.channels:
-        raise RecordingError(f"{path}: {len(recording.channels)} channels of {recording.n_samples} samples: no data")
-    return recording
 
 
 def recordings_in(path: str | Path) -> list[Path]:

@@ -32,6 +32,8 @@ class Channel:
     ----------
     name, unit, phase : str
         As written; empty where the file says nothing.
+    written : str
+        What the file calls it, its unit perhaps included; empty where that is the name.
     limits : (low, high) or None
         Ends of the recorder's range, in ``unit``, where the file tells them.
     """
@@ -40,6 +42,7 @@ class Channel:
     unit: str = ""
     phase: str = ""
     limits: tuple[float, float] | None = None
+    written: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,8 @@ class Recording:
         The fundamental frequency the file claims (Hz). Never used as such.
     notes : tuple of str
         What a person should know about the file.
+    hints : tuple of str
+        Why a channel may be missing or go by another name: told where v or i is not found.
     """
 
     path: Path
@@ -75,6 +80,7 @@ class Recording:
     samples: Samples
     header_f1_hz: float | None = None
     notes: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
 
     def blocks(self, columns: Sequence[int]) -> Iterator[tuple[int, np.ndarray]]:
         """First sample and values (n, columns) of one block after another."""
@@ -82,8 +88,13 @@ class Recording:
             yield start, self.samples(columns, start, min(start + BLOCK, self.n_samples))
 
     def column(self, name: str) -> int:
-        """Number of the channel of that name (case ignored); `RecordingError` where there is none, or two."""
-        found = [k for k, channel in enumerate(self.channels) if channel.name.strip().lower() == name.strip().lower()]
+        """Number of the channel called or written so (case ignored); `RecordingError` where there is none, or two."""
+        wanted = name.strip().lower()
+        found = [
+            k
+            for k, channel in enumerate(self.channels)
+            if wanted in (channel.name.strip().lower(), channel.written.strip().lower())
+        ]
         if len(found) == 1:
             return found[0]
         problem = "two channels are called" if found else "no channel is called"

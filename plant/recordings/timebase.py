@@ -11,7 +11,19 @@ import numpy as np
 
 from .recording import RecordingError
 
-_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
+_SECONDS = {
+    **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "µsec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hour", "hours"), 3600.0),
+}
+_TIME = re.compile(
+    r"t|tid|zeit|temps|tiempo|tempo|tnow|time[ _-]?(stamp|axis|vector)?|(sim(ulation)?|elapsed|rel(ative)?|abs(olute)?)"
+    r"[ _-]?time|zeit(stempel|achse)?|domain|x[ _-]?(axis|value)s?|sec(ond)?s?|date[ _-]?(and[ _-]?)?time|datetime"
+)
+"""Names of a column of time, without what stands before the last colon, point or stroke."""
 
 LOOSE = 0.75
 """Largest distance of a time from its place on the uniform scale, in steps: printed times are rounded."""
@@ -27,12 +39,25 @@ class TimeBase(NamedTuple):
 
 def is_time(name: str) -> bool:
     """Whether a column of that name holds the time."""
-    return re.fullmatch(r"t|time|tid|zeit|temps|timestamp|time[ _]?stamp|domain", name.strip().lower()) is not None
+    last = re.split(r"[:./|\\\\]", name.strip().lower())[-1].strip()
+    return _TIME.fullmatch(last) is not None
 
 
-def seconds_per(unit: str) -> float:
-    """Factor from a unit of time to seconds; 1 where the unit is not given."""
-    return _SECONDS.get(unit.strip().lower(), 1.0)
+def seconds_per(unit: str, path: Path) -> float:
+    """Factor from a unit of time to seconds; 1 where the unit is not given.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such unit of time.
+    """
+    factor = _SECONDS.get(unit.strip().strip(".").lower())
+    if factor is None:
+        raise RecordingError(
+            f"{path}: the time is in {unit!r}, which is no unit known here (s, ms, us, ns, min, h): give --sample-rate "
+            "HZ"
+        )
+    return factor
 
 
 def time_base(path: Path, blocks: Iterable[np.ndarray]) -> TimeBase:
@@ -53,7 +78,8 @@ def time_base(path: Path, blocks: Iterable[np.ndarray]) -> TimeBase:
             k = int(np.argmax(steps <= 0.0)) + (1 if n == 0 else 0)
             raise RecordingError(
                 f"{path}: time runs backwards or stands still at sample {n + k} ({block[k]:.9g} s): "
-                "the file holds several recordings, or is damaged; cut it there"
+                "the file holds several recordings (cut it there), its times are printed too coarsely (give "
+                "--sample-rate HZ), or it is damaged"
             )
         if len(steps):
             shortest = min(shortest, float(np.min(steps)))

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..protocol import Record, SourceDirection
+from .apart import read_recording_apart
 from .channels import Assignment, assign, in_words
-from .read import read_recording
 from .recording import BLOCK, Recording, RecordingError
 
 CLIPPED_CYCLE = 0.02
@@ -85,9 +85,13 @@ def open_waveforms(
     base: tuple[float, float] | None = None,
     sample_rate_hz: float | None = None,
 ) -> Waveforms:
-    """Open a file and find v and i in it; raises `RecordingError` as `read_recording` and `assign` do."""
-    recording = read_recording(path, sample_rate_hz=sample_rate_hz)
-    return Waveforms(recording, assign(recording, channels, base), direction)
+    """Open a file in a process of its own and find v and i in it; `RecordingError` as `read_recording` and `assign`."""
+    recording = read_recording_apart(path, sample_rate_hz=sample_rate_hz)
+    try:
+        assignment = assign(recording, channels, base)
+    except RecordingError as error:
+        raise RecordingError("; ".join([str(error), *recording.hints])) from None
+    return Waveforms(recording, assignment, direction)
 
 
 def defects(waveforms: Waveforms, start: int, stop: int) -> Defects:

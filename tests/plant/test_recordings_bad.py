@@ -194,13 +194,16 @@ def test_what_decompresses_to_more_than_memory_is_refused_before_it_does(tmp_pat
         monkeypatch.setattr(f"seqsweep.plant.recordings.{module}.TEXT_LIMIT_BYTES", small)
     zeros = {name: np.zeros(10 * small) for name in ("time", *files.NAMES)}
     savemat(tmp_path / "a.mat", zeros, do_compression=True)
-    refused(tmp_path / "a.mat", "GB when decompressed")
+    with pytest.raises(RecordingError, match="GB when decompressed"):
+        read_recording(tmp_path / "a.mat")
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, x in zeros.items():
             file.create_dataset(name, data=x, chunks=(len(x),), compression="gzip")
-    refused(tmp_path / "a.h5", "does not fit into memory")
+    with pytest.raises(RecordingError, match="does not fit into memory"):
+        read_recording(tmp_path / "a.h5")
     pq.write_table(pa.table(zeros), tmp_path / "a.parquet", row_group_size=10 * small)
-    refused(tmp_path / "a.parquet", "row group of 655360 rows does not fit")
+    with pytest.raises(RecordingError, match="row group of 655360 rows does not fit"):
+        read_recording(tmp_path / "a.parquet")
 
 
 def test_a_matlab_variable_that_lies_about_its_size_costs_a_message_not_the_memory(tmp_path):

@@ -1,0 +1,1 @@
+"""What foreign files need before and around the libraries that parse them: clean text, and a process to die in."""
