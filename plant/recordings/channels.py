@@ -1,7 +1,7 @@
 """Which channel is which: by name and unit, then by physics. A guess is always printed and can be overruled.
 
-Whatever was recorded (three phases, two of them, line-to-line voltages, alpha and beta), the space vector is a sum of
-channels with complex weights; scale and phase order are in the weights.
+Whatever was recorded (three phases, two of them, line-to-line voltages in either direction, alpha and beta), the space
+vector is a sum of channels with complex weights; scale and phase order are in the weights (`sequences`).
 """
 
 from __future__ import annotations
@@ -10,30 +10,27 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
 from .recording import Channel, Recording, RecordingError, names_of
+from .sequences import Kind, SpaceVector, determines, judged, probe, space_vector
 
-Kind = Literal["voltage", "current"]
-ROLES = ("va", "vb", "vc", "vab", "vbc", "vca", "valpha", "vbeta", "ia", "ib", "ic", "ialpha", "ibeta")
+ROLES = (
+    *("va", "vb", "vc", "vab", "vbc", "vca", "vba", "vcb", "vac", "valpha", "vbeta"),
+    *("ia", "ib", "ic", "ialpha", "ibeta"),
+)
 
-PROBE_S = 1.0
-"""Length of the stretch that physics is asked about."""
-
-DEAD = 0.02
-"""A phase this much smaller than the largest is no phase."""
-
-ZERO_SEQUENCE = 0.02
-"""Three phases whose sum is larger than this, relative, are worth a word."""
-
-_A = np.exp(2j * np.pi / 3.0)
 _ALPHABETS = {
     "phases": ("a b c", "l1 l2 l3", "r s t", "an bn cn", "1 2 3", "0 1 2", "u v w"),
     "line_to_line": ("ab bc ca", "l12 l23 l31", "12 23 31", "rs st tr", "uv vw wu"),
     "alpha_beta": ("alpha beta", "al be"),
 }
+_TOLD_BY_TWO = ("a b c", "l1 l2 l3", "an bn cn")
+"""Names of phases of which two are enough."""
+
+_KINDS: tuple[Kind, ...] = ("voltage", "current")
 _UNITS = {
     "v": 1.0,
     "volt": 1.0,
@@ -50,34 +47,6 @@ _DIRECT = re.compile(r"dc\W*$", re.IGNORECASE)
 """Ends the name of a direct voltage or current, not of a phase c."""
 
 _AT_TERMINAL = re.compile(r"pcc|poc|poi|term|meas|wt(?![a-z])", re.IGNORECASE)
-
-
-@dataclass(frozen=True, slots=True)
-class SpaceVector:
-    """A space vector as a weighted sum of channels.
-
-    Attributes
-    ----------
-    kind : "voltage" or "current"
-    form : str
-        "phases", "two phases", "line_to_line" or "alpha_beta".
-    columns : tuple of int
-        Channels.
-    weights : (n,) complex
-        ``x = sum(weights * samples)`` is a phase peak in V or A.
-    """
-
-    kind: Kind
-    form: str
-    columns: tuple[int, ...]
-    weights: np.ndarray
-
-    def of(self, samples: np.ndarray) -> np.ndarray:
-        """Space vector (n,) of samples (n, columns)."""
-        x = np.empty(len(samples), dtype=complex)
-        x.real = np.einsum("nk,k->n", samples, self.weights.real)
-        x.imag = np.einsum("nk,k->n", samples, self.weights.imag)
-        return x
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,11 +93,11 @@ def assign(
     given = given or {}
     notes: list[str] = []
     vectors = []
-    for kind in ("voltage", "current"):
-        columns = {role: recording.column(name) for role, name in given.items() if role[0] == kind[0].replace("c", "i")}
+    for kind in _KINDS:
+        columns = {role: recording.column(name) for role, name in given.items() if role[0] == _letter(kind)}
         vector = _as_given(recording, kind, columns) if columns else _guessed(recording, kind, notes)
         vectors.append(_scaled(recording, vector, base, notes))
-    voltage, current = (_checked(recording, vector, notes) for vector in vectors)
+    voltage, current = judged(recording, vectors[0], vectors[1], notes)
     return Assignment(voltage, current, tuple(notes))
 
 
@@ -142,92 +111,114 @@ def in_words(recording: Recording, vector: SpaceVector) -> str:
 # As given
 
 
-def _as_given(recording: Recording, kind: str, columns: Mapping[str, int]) -> SpaceVector:
-    forms = {
-        "phases": ("a", "b", "c"),
-        "two phases": ("a", "b"),
-        "line_to_line": ("ab", "bc", "ca"),
-        "two line_to_line": ("ab", "bc"),
-        "alpha_beta": ("alpha", "beta"),
-    }
-    suffixes = {role[1:] for role in columns}
-    for form, needed in forms.items():
-        if suffixes == set(needed):
-            return _vector(kind, form, [columns[kind[0].replace("c", "i") + suffix] for suffix in needed])
-    letter = kind[0].replace("c", "i")
-    raise RecordingError(
-        f"{recording.path}: channels {', '.join(columns)} make no {kind}: give {letter}a, {letter}b, {letter}c, or two "
-        f"of them, or line-to-line vab, vbc, vca, or {letter}alpha, {letter}beta"
-    )
+def _as_given(recording: Recording, kind: Kind, columns: Mapping[str, int]) -> SpaceVector:
+    letter = _letter(kind)
+    roles = tuple(role[1:] for role in columns)
+    form = _form_of(roles)
+    if form is None or not determines(roles):
+        raise RecordingError(
+            f"{recording.path}: channels {', '.join(columns)} make no {kind}: give {letter}a, {letter}b, {letter}c, or "
+            f"two of them, or line-to-line vab, vbc, vca (or vba, ...), two of them, or {letter}alpha, {letter}beta"
+        )
+    return space_vector(kind, form, tuple(columns.values()), roles)
 
 
-def _vector(kind: str, form: str, columns: Sequence[int]) -> SpaceVector:
-    """Weights by form; in a three-wire system the third quantity follows from the other two."""
-    to_phases = {
-        "phases": np.eye(3),
-        "two phases": np.array([[1, 0], [0, 1], [-1, -1]]),
-        "line_to_line": np.array([[1, 0, -1], [-1, 1, 0], [0, -1, 1]]) / 3.0,
-        "two line_to_line": np.array([[2, 1], [-1, 1], [-1, -2]]) / 3.0,
-    }
-    if form == "alpha_beta":
-        weights = np.array([1.0, 1.0j])
-    else:
-        weights = 2.0 / 3.0 * np.array([1.0, _A, _A**2]) @ to_phases[form]
-    return SpaceVector("voltage" if kind == "voltage" else "current", form, tuple(columns), weights)
+def _form_of(roles: Sequence[str]) -> str | None:
+    """What channels of these roles are together, for people; None where they do not go together."""
+    if set(roles) == {"alpha", "beta"}:
+        return "alpha_beta"
+    if all(role in ("a", "b", "c") for role in roles):
+        return "phases" if len(roles) == 3 else "two phases"
+    if all(len(role) == 2 for role in roles):
+        return "line_to_line" if len(roles) == 3 else "two line_to_line"
+    return None
+
+
+def _letter(kind: Kind) -> str:
+    return "v" if kind == "voltage" else "i"
 
 
 # Guessed
 
 
-def _guessed(recording: Recording, kind: str, notes: list[str]) -> SpaceVector:
-    groups = _groups(recording.channels, kind)
+class _Group(NamedTuple):
+    """Channels that could be a quantity: its form, and the columns and roles of the channels."""
+
+    form: str
+    columns: tuple[int, ...]
+    roles: tuple[str, ...]
+
+
+def _guessed(recording: Recording, kind: Kind, notes: list[str]) -> SpaceVector:
+    groups = _complete(recording.channels, kind) or _pairs(recording.channels, kind)
     if not groups:
         raise RecordingError(_nothing(recording, kind))
-    complete = [group for group in groups if group[0] != "two phases"] or groups
-    here = [group for group in complete if _AT_TERMINAL.search(recording.channels[group[1][0]].name)]
-    chosen = complete if len(complete) == 1 else here
+    here = [group for group in groups if _AT_TERMINAL.search(recording.channels[group.columns[0]].name)]
+    chosen = groups if len(groups) == 1 else here
     if len(chosen) != 1:
-        shown = "; ".join(", ".join(recording.channels[k].name for k in columns) for _, columns in complete[:6])
-        letter = kind[0].replace("c", "i")
+        shown = "; ".join(", ".join(recording.channels[k].name for k in group.columns) for group in groups[:6])
+        letter = _letter(kind)
         raise RecordingError(
             f"{recording.path}: several could be the {kind} ({shown}): "
             f"give --channels {letter}a=...,{letter}b=...,{letter}c=..."
         )
-    form, columns = chosen[0]
-    if len(complete) > 1:
+    if len(groups) > 1:
         notes.append(f"several could be the {kind}: the one at the terminal, by its name, was taken")
-    if form == "two phases":
+    group = chosen[0]
+    if group.form == "two phases":
         notes.append(f"two phases of the {kind}: the third is taken as minus their sum (three wires)")
-    return _vector(kind, form, columns)
+    return space_vector(kind, group.form, group.columns, group.roles)
 
 
-def _groups(channels: Sequence[Channel], kind: str) -> list[tuple[str, list[int]]]:
-    """Form and columns of everything that could be this quantity, by names and units."""
-    found: list[tuple[str, list[int]]] = []
+def _complete(channels: Sequence[Channel], kind: Kind) -> list[_Group]:
+    """Everything that could be this quantity with all of its channels, by names and units."""
+    found: list[_Group] = []
     taken: set[int] = set()
     mine = [k for k, channel in enumerate(channels) if _kind(channel) == kind]
-    for form, alphabets in _ALPHABETS.items():
-        if form == "line_to_line" and kind == "current":
-            continue
-        for alphabet in alphabets:
-            for columns in _families(channels, [k for k in mine if k not in taken], alphabet.split()):
-                found.append((form, columns))
-                taken.update(columns)
-    if not found:
-        two = (("two phases", "a b"), ("two phases", "l1 l2"), ("two phases", "an bn"))
-        lines = tuple(("two line_to_line", pair) for pair in ("ab bc", "l12 l23", "12 23"))
-        for form, alphabet in (*lines, *two) if kind == "voltage" else two:
-            found = found or [(form, columns) for columns in _families(channels, mine, alphabet.split())]
+    for form in ("phases", *(("line_to_line",) if kind == "voltage" else ()), "alpha_beta"):
+        size = 2 if form == "alpha_beta" else 3
+        for alphabet in _ALPHABETS[form]:
+            free = [k for k in mine if k not in taken]
+            for group in _families(channels, free, form, _roles_of(form, alphabet)):
+                if len(group.columns) == size and determines(group.roles):
+                    found.append(group)
+                    taken.update(group.columns)
     return found
 
 
-def _families(channels: Sequence[Channel], among: Sequence[int], letters: Sequence[str]) -> list[list[int]]:
-    """Columns whose names differ in their phase alone, in the order of ``letters``."""
+def _pairs(channels: Sequence[Channel], kind: Kind) -> list[_Group]:
+    """Two channels that tell the third in a three-wire system; line-to-line voltages come first."""
+    mine = [k for k, channel in enumerate(channels) if _kind(channel) == kind and not _DIRECT.search(channel.name)]
+    lines = [("line_to_line", alphabet) for alphabet in _ALPHABETS["line_to_line"]] if kind == "voltage" else []
+    for form, alphabet in (*lines, *(("phases", alphabet) for alphabet in _TOLD_BY_TWO)):
+        families = _families(channels, mine, form, _roles_of(form, alphabet))
+        found = [group for group in families if len(group.columns) == 2 and determines(group.roles)]
+        if found:
+            return [group._replace(form=_form_of(group.roles) or group.form) for group in found]
+    return []
+
+
+def _roles_of(form: str, alphabet: str) -> dict[str, str]:
+    """Role of every ending of an alphabet; line-to-line voltages may also be named the other way round."""
+    letters = alphabet.split()
+    roles = {"phases": ("a", "b", "c"), "line_to_line": ("ab", "bc", "ca"), "alpha_beta": ("alpha", "beta")}[form]
+    found = dict(zip(letters, roles, strict=True))
+    if form == "line_to_line":
+        found |= {letter[:-2] + letter[:-3:-1]: role[::-1] for letter, role in zip(letters, roles, strict=True)}
+    return found
+
+
+def _families(channels: Sequence[Channel], among: Sequence[int], form: str, roles: Mapping[str, str]) -> list[_Group]:
+    """Channels whose names differ in their phase alone, in the order of ``roles``."""
     families: dict[str, dict[str, int]] = {}
     for k in among:
-        if (split := _stem_and_phase(channels[k], letters)) is not None:
-            families.setdefault(split[0], {}).setdefault(split[1], k)
-    return [[family[letter] for letter in letters] for family in families.values() if set(family) == set(letters)]
+        if (split := _stem_and_phase(channels[k], tuple(roles))) is not None:
+            families.setdefault(split[0], {}).setdefault(roles[split[1]], k)
+    order = [dict.fromkeys(role for role in roles.values() if role in family) for family in families.values()]
+    return [
+        _Group(form, tuple(family[role] for role in there), tuple(there))
+        for family, there in zip(families.values(), order, strict=True)
+    ]
 
 
 def _stem_and_phase(channel: Channel, letters: Sequence[str]) -> tuple[str, str] | None:
@@ -259,22 +250,22 @@ def _kind(channel: Channel) -> Kind | None:
     return None
 
 
-def _nothing(recording: Recording, kind: str) -> str:
+def _nothing(recording: Recording, kind: Kind) -> str:
     """What to say where names and units lead nowhere: what is there, or what physics sees, and how to go on."""
-    letter = kind[0].replace("c", "i")
+    letter = _letter(kind)
     option = f"--channels {letter}a=NAME,{letter}b=NAME,{letter}c=NAME"
     among = f"among {names_of(recording.channels)}"
     if words := _incomplete(recording.channels, kind):
         return (
-            f"{recording.path}: {words} {among}; needed: three phases, or in a three-wire system two of them, a and b: "
-            f"record them, or name those that go by other names with {option}"
+            f"{recording.path}: {words} {among}; needed: three phases, or in a three-wire system two of them: record "
+            f"them, or name those that go by other names with {option}"
         )
     triples = ["(" + ", ".join(recording.channels[k].name for k in each) + ")" for each in _balanced(recording)]
     seen = f"; by physics {' and '.join(triples[:4])} are three-phase systems" if triples else ""
     return f"{recording.path}: no {kind} found {among}{seen}: name it with {option}"
 
 
-def _incomplete(channels: Sequence[Channel], kind: str) -> str:
+def _incomplete(channels: Sequence[Channel], kind: Kind) -> str:
     """Which phases of a quantity are there and which are missing, by their names; empty where no name tells."""
     mine = [channel for channel in channels if _kind(channel) == kind and not _DIRECT.search(channel.name)]
     lines = _ALPHABETS["line_to_line"] if kind == "voltage" else ()
@@ -305,7 +296,7 @@ def _listed(names: Sequence[str]) -> str:
 def _balanced(recording: Recording) -> list[tuple[int, ...]]:
     """Triples of channels, equal in size and zero in sum at the strongest frequency."""
     columns = list(range(min(len(recording.channels), 12)))
-    x = np.nan_to_num(_probe(recording, columns))
+    x = np.nan_to_num(probe(recording, columns))
     spectrum = np.fft.rfft(x * np.hanning(len(x))[:, None], axis=0)
     spectrum[:3] = 0.0
     phasors = spectrum[int(np.argmax(np.max(np.abs(spectrum), axis=1)))]
@@ -318,7 +309,7 @@ def _balanced(recording: Recording) -> list[tuple[int, ...]]:
     ]
 
 
-# Scale and physics
+# Scale
 
 
 def _scaled(
@@ -344,45 +335,3 @@ def _scaled(
         factor = 1.0
         notes.append(f"the {vector.kind} has no known unit: taken as {'V' if vector.kind == 'voltage' else 'A'}")
     return replace(vector, weights=vector.weights * factor)
-
-
-def _checked(recording: Recording, vector: SpaceVector, notes: list[str]) -> SpaceVector:
-    """The vector as physics has it: every phase alive, rotating forward."""
-    x = _probe(recording, vector.columns)
-    x = x[np.all(np.isfinite(x), axis=1)]
-    if len(x) < 16:
-        raise RecordingError(f"{recording.path}: no valid samples of the {vector.kind}")
-    alive = np.std(x, axis=0)
-    for k, column in enumerate(vector.columns):
-        if not alive[k] > DEAD * np.max(alive):
-            name = recording.channels[column].name
-            raise RecordingError(
-                f"{recording.path}: {name} is dead ({alive[k]:.3g} where others have {np.max(alive):.3g} RMS): a phase "
-                f"of the {vector.kind} is missing; in a three-wire system two phases are enough: name those with "
-                "--channels"
-            )
-    if vector.form == "phases" and np.std(np.sum(x, axis=1)) > ZERO_SEQUENCE * np.max(alive) * 3.0:
-        notes.append(
-            f"the {vector.kind} has a zero sequence of {np.std(np.sum(x, axis=1)) / 3 / np.max(alive):.1%}: left out"
-        )
-    taper = np.hanning(len(x))
-    offset = abs(np.sum(vector.of(x) * taper) / np.sum(taper)) / np.sqrt(np.mean(np.abs(vector.of(x)) ** 2))
-    if offset > 0.01:
-        notes.append(f"the {vector.kind} has a DC offset of {offset:.1%}: left out")
-    if not _rotates_forward(vector.of(x)):
-        notes.append(f"the {vector.kind} rotates backward: its phases b and c were exchanged")
-        return replace(vector, weights=np.conj(vector.weights))
-    return vector
-
-
-def _rotates_forward(x: np.ndarray) -> bool:
-    spectrum = np.abs(np.fft.fft((x - np.mean(x)) * np.hanning(len(x))))
-    half = len(x) // 2
-    return bool(np.max(spectrum[1:half]) > np.max(spectrum[half + 1 :]))
-
-
-def _probe(recording: Recording, columns: Sequence[int]) -> np.ndarray:
-    """Samples of about a second from the middle of a recording."""
-    n = min(recording.n_samples, max(64, int(PROBE_S / recording.dt_s)), 1 << 20)
-    start = (recording.n_samples - n) // 2
-    return recording.samples(columns, start, start + n)
