@@ -40,7 +40,7 @@ def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None
     point = result.worst if op_id is None else result.point(op_id)
     _, stability = _fitted(point)
     figure = _figure((11.0, 8.5))
-    title = f"{point.op_id}: {point.verdict} on {result.grid.r_ohm:.4g} + j{result.grid.x_ohm:.4g} $\\Omega$"
+    title = f"{point.op_id}: {point.verdict} on {result.grid.at_f1.real:.4g} + j{result.grid.at_f1.imag:.4g} $\\Omega$"
     pair = stability.closed_loop.resonance_hz
     figure.suptitle(title if pair is None else f"{title}, resonance {pair[0]:.2f}/{pair[1]:.2f} Hz")
     left, right = np.ravel(np.asarray(figure.subfigures(1, 2, width_ratios=[1.25, 1.0])))

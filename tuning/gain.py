@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..plant.errors import SeqsweepError
-from .siso import Grid
+from .siso import Grid, own_impedance
 from .stability import Admittance, Crossing, bode_crossings, critical_crossing
 
 K_MAX = 2.0
@@ -71,7 +71,7 @@ def reshaped(admittance: Admittance, grid: Grid, k: float, f_r_hz: float) -> Adm
     admittance : callable
         Frequencies (n,) in Hz to Ypn (n, 2, 2) in S, without damping.
     grid : Grid
-        The grid the virtual impedance is taken from: Rv = k R, Lv = k L.
+        The grid the virtual impedance is taken from: k Z at the resonance, for a series R-L grid Rv = k R, Lv = k L.
     k : float
         Gain.
     f_r_hz : float
@@ -82,7 +82,7 @@ def reshaped(admittance: Admittance, grid: Grid, k: float, f_r_hz: float) -> Adm
     v_r = v + H_NF H_FB i_g with H_FB = -(Rv + j w_r Lv) and i_g = -i gives Y_re = (1 - Y C)^-1 Y. C is diagonal: k
     (R + j w_r L) H_NF at f, and the conjugate of its value at the mirror for the second component.
     """
-    z_r = k * (grid.r_ohm + 2j * np.pi * f_r_hz * grid.l_h)
+    z_r = k * own_impedance(grid, f_r_hz)
 
     def with_damping(f_hz: np.ndarray) -> np.ndarray:
         y = admittance(f_hz)

@@ -69,16 +69,16 @@ def _source(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> t
 def source_voltage_v(power_w: float, terminal_voltage_v: float, grid: Grid) -> float:
     """|v_g| (V) behind the grid for an active power out of the device (W) at |v_pcc| (V), without reactive power."""
     current = power_w / terminal_voltage_v
-    return float(np.hypot(terminal_voltage_v - grid.r_ohm * current, grid.x_ohm * current))
+    return float(np.abs(terminal_voltage_v - grid.at_f1 * current))
 
 
 def _against_swept_grid(swept: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     scale = swept.get("scale") or 1.0
     r_ohm, x_ohm = swept["r_ohm"] * scale, swept["x_ohm"] * scale
-    if np.hypot(r_ohm - grid.r_ohm, x_ohm - grid.x_ohm) <= SAME_GRID * grid.size_ohm:
+    if np.abs(r_ohm + 1j * x_ohm - grid.at_f1) <= SAME_GRID * grid.size_ohm:
         return ()
     return (
         f"the table was swept with the PCC voltage that belongs to {r_ohm:.4g} + j{x_ohm:.4g} ohm, not to "
-        f"{grid.r_ohm:.4g} + j{grid.x_ohm:.4g} ohm: the device will work at another voltage there; sweep again with "
-        "this grid in the operating point",
+        f"{grid.at_f1.real:.4g} + j{grid.at_f1.imag:.4g} ohm: the device will work at another voltage there; sweep "
+        "again with this grid in the operating point",
     )

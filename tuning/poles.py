@@ -1,4 +1,4 @@
-"""Closed-loop poles of the fitted device on an R-L grid, with damping and standard errors."""
+"""Closed-loop poles of the fitted device on a grid, with damping and standard errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ RESONANCE_FROM_HZ = 5.0
 BEYOND = 1.5
 """Poles further out than this multiple of the highest swept |f - f1| are not believed."""
 
-_J = np.array([[0.0, -1.0], [1.0, 0.0]])
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
 
@@ -109,23 +108,28 @@ def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:
 
     Notes
     -----
-    With i = C x + D v + E v', x' = A x + B v and v = -(R + w1 L J) i - L i' the poles are the finite generalised
-    eigenvalues of a descriptor pencil in (x, i, v). It is inverted about a point in the right half-plane, so that a
-    plain eigenvalue routine serves and the infinite ones become zeros. A residue of rank one takes one state.
+    With i = C x + D v + E v', x' = A x + B v of the device and Eg xg' = Ag xg + Bg i, v = Cg xg of the grid the poles
+    are the finite generalised eigenvalues of a descriptor pencil in (x, i, xg). It is inverted about a point in the
+    right half-plane, so that a plain eigenvalue routine serves and the infinite ones become zeros. A residue of rank
+    one takes one state.
     """
     check_fundamental(model.f1_hz, grid)
     a, b, c = _states(model)
+    behind = grid.descriptor()
     n = len(a)
-    m = np.zeros((n + 4, n + 4), dtype=complex)
-    e = np.zeros((n + 4, n + 4), dtype=complex)
-    state, current, voltage = slice(0, n), slice(n, n + 2), slice(n + 2, n + 4)
-    m[state, state], m[state, voltage] = np.diag(a), b
-    m[current, state], m[current, current], m[current, voltage] = -c, np.eye(2), -model.d
-    m[voltage, current], m[voltage, voltage] = -(grid.r_ohm * np.eye(2) + grid.x_ohm * _J), -np.eye(2)
+    size = n + 2 + len(behind.a)
+    m = np.zeros((size, size), dtype=complex)
+    e = np.zeros((size, size), dtype=complex)
+    state, current, network = slice(0, n), slice(n, n + 2), slice(n + 2, None)
+    m[state, state], m[state, network] = np.diag(a), b @ behind.c
+    m[current, state], m[current, current], m[current, network] = -c, np.eye(2), -model.d @ behind.c
+    m[network, current], m[network, network] = behind.b, behind.a
     e[state, state] = np.eye(n)
-    e[current, voltage] = model.e
-    e[voltage, current] = grid.l_h * np.eye(2)
-    about = 0.7 * grid.w1_rad_s
+    e[current, network] = model.e @ behind.c
+    e[network, network] = behind.e
+    size_of_rows = 1.0 / np.maximum(np.abs(m).max(axis=1), np.abs(e).max(axis=1) * 2.0 * np.pi * grid.f1_hz)[:, None]
+    m, e = m * size_of_rows, e * size_of_rows
+    about = 0.7 * 2.0 * np.pi * grid.f1_hz
     inverse = np.linalg.eigvals(np.linalg.solve(m - about * e, e))
     poles = about + 1.0 / inverse[np.abs(inverse) > 1.0 / _INFINITE]
     poles[np.abs(poles.imag) < 1e-9 * np.abs(poles)] = poles[np.abs(poles.imag) < 1e-9 * np.abs(poles)].real
@@ -137,7 +141,7 @@ def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
     z_inverse = np.linalg.inv(impedance_dq(grid, np.array([pole]))[0])
     u, _, vh = np.linalg.svd(evaluate(model, np.array([pole]))[0] + z_inverse)
     left, right = u[:, 1].conj(), vh[1].conj()
-    slope = derivative(model, pole) - grid.l_h * z_inverse @ z_inverse
+    slope = derivative(model, pole) - z_inverse @ grid.slope_dq(np.array([pole]))[0] @ z_inverse
     return Shape(left, right, complex(left @ slope @ right))
 
 

@@ -179,7 +179,7 @@ def to_json(result: TuningResult) -> dict[str, Any]:
         "version": VERSION,
         "provenance": {
             "tool": {"name": "seqsweep", "version": version("seqsweep")},
-            "grid": {"r_ohm": grid.r_ohm, "x_ohm": grid.x_ohm, "f1_hz": grid.f1_hz},
+            "grid": grid.described(),
             "margin_required": result.margin_required,
             "table": dict(result.provenance),
         },
@@ -307,7 +307,7 @@ def format_table(result: TuningResult, width: int = 80) -> str:
         if _table_width(rows, names) > width:
             names.remove(name)
     grid = result.grid
-    head = f"Z = {grid.r_ohm:.6g} + j{grid.x_ohm:.6g} ohm at {grid.f1_hz:g} Hz, required m = {result.margin_required:g}"
+    head = f"Z = {grid.label}, required m = {result.margin_required:g}"
     lines = [*_wrapped(head, width), "", *_aligned(rows, names), ""]
     if any("+-" in row[name] for row in rows for name in names):
         lines += _wrapped("+-: 95 % intervals, from the noise of the table's rows", width)

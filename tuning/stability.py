@@ -1,6 +1,6 @@
 """Stable, unstable or undecided: the winding number decides, the Bode criterion is shown beside it.
 
-Stable iff the locus of det(Y + Yg) over f = -inf ... inf winds about zero, counter-clockwise, as often as the
+Stable iff the locus of det(1 + Y Z) over f = -inf ... inf winds about zero, counter-clockwise, as often as the
 device has poles of its own in the right half-plane. The locus is evaluated on the rational fit; how sure it is that
 it passes zero on this side follows from the fit's covariance.
 """
@@ -73,7 +73,7 @@ class Winding:
     nu_hz : (n,) float
         Frequencies in the dq frame (Hz), refined.
     locus : (n,) complex
-        det(Y + Yg) in S^2 (divided by a stable factor of the right degree if the fit has a slope or no constant).
+        det(1 + Y Z), the grid's own poles on the axis taken out, divided by a stable factor of its degree.
     largest_step_deg : float
         Largest turn between neighbours, the closing step included (degrees).
     beyond_deg, inside_deg : float
@@ -263,7 +263,7 @@ def _own_poles(model: RationalModel, grid: Grid) -> int:
         f = nu_hz + model.f1_hz
         return 1.0 + evaluate_pn(model, f)[:, 1, 1] * impedance_pn(grid, f)[1]
 
-    _, values = refine_locus(_closed_by(first, model), _first_nu(model, None))
+    _, values = refine_locus(_closed_by(first, model), _first_nu(model, None, grid))
     return model.n_unstable - _turns(values)
 
 
@@ -271,21 +271,18 @@ def _own_poles(model: RationalModel, grid: Grid) -> int:
 
 
 def wind(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> Winding:
-    """Winding of det(Y + Yg) about zero over f = -inf ... inf; ``loop`` tells where to look closely.
+    """Winding of det(1 + Y Z) about zero over f = -inf ... inf; ``loop`` tells where to look closely.
 
     Notes
     -----
-    Written as det(1 + Y Z) / det Z, which is regular at f1. Where a lossless grid puts the poles of Yg on the axis (at
-    0 and 2 f1), det Z takes a resistance of 0.1 % of X: the detour to the right of them.
+    The grid's own poles on the axis, and what else of it is not known to be stable, are taken out: `Grid.clearing`.
     """
-    safe = Grid(max(grid.r_ohm, 1e-3 * grid.x_ohm), grid.x_ohm, grid.f1_hz)
 
     def determinant(nu_hz: np.ndarray) -> np.ndarray:
         s = 2j * np.pi * nu_hz
-        loop_gain = evaluate(model, s) @ impedance_dq(grid, s)
-        return _det(np.eye(2) + loop_gain) / _det(impedance_dq(safe, s))
+        return grid.clearing(s) * _det(np.eye(2) + evaluate(model, s) @ impedance_dq(grid, s))
 
-    nu, values = refine_locus(_closed_by(determinant, model), _first_nu(model, loop))
+    nu, values = refine_locus(_closed_by(determinant, model), _first_nu(model, loop, grid))
     steps = np.degrees(np.angle(values[1:] / values[:-1]))
     closing = np.degrees(np.angle(values[0] / values[-1]))
     middle = (nu[1:] + nu[:-1]) / 2.0
@@ -301,22 +298,20 @@ def wind(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> Wi
 
 
 def _turns_closed_shortest(model: RationalModel, grid: Grid) -> int:
-    """Turns of det(1 + Y Z) up to the highest swept frequency, then back to one with no eigenvalue passing -1.
-
-    det(1 + Y Z) = det(Y + Yg) det Z, and det Z, zero-free on the right, closes the shortest way by itself.
-    """
+    """Turns of det(1 + Y Z) up to the highest swept frequency, then back to one with no eigenvalue passing -1."""
 
     def determinant(nu_hz: np.ndarray) -> np.ndarray:
         s = 2j * np.pi * nu_hz
-        return _det(np.eye(2) + evaluate(model, s) @ impedance_dq(grid, s))
+        return grid.clearing(s) * _det(np.eye(2) + evaluate(model, s) @ impedance_dq(grid, s))
 
-    nu = _first_nu(model, None)
+    nu = _first_nu(model, None, grid)
     nu = nu[(nu >= 0.0) & (nu <= model.nu_hz[-1])]
     _, values = refine_locus(determinant, nu)
     half = float(np.sum(np.angle(values[1:] / values[:-1])))
     s = 2j * np.pi * model.nu_hz[-1:]
     gains = np.linalg.eigvals(evaluate(model, s)[0] @ impedance_dq(grid, s)[0])
-    return round((half - float(np.sum(np.angle(1.0 + gains)))) / np.pi)
+    closing = float(np.sum(np.angle(1.0 + gains))) + grid.clearing_angle(complex(s[0]))
+    return round((half - closing) / np.pi)
 
 
 def refine_locus(function: Admittance, nu_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -352,11 +347,11 @@ def _closed_by(function: Admittance, model: RationalModel) -> Admittance:
     return closed if degree else function
 
 
-def _first_nu(model: RationalModel, loop: ClosedLoop | None) -> np.ndarray:
-    """Symmetric start: logarithmic, and dense about every pole."""
-    poles = model.poles if loop is None else np.concatenate([model.poles, loop.poles])
+def _first_nu(model: RationalModel, loop: ClosedLoop | None, grid: Grid) -> np.ndarray:
+    """Symmetric start: logarithmic, and dense about every pole of the device, of the loop and of the grid alone."""
+    poles = np.concatenate([model.poles, grid.modes, [] if loop is None else loop.poles])
     about = poles.imag[:, None] + np.abs(poles.real)[:, None] * np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])
-    w1 = np.array([model.f1_hz]) * np.array([0.98, 1.0, 1.02])  # the poles of Yg
+    w1 = np.array([model.f1_hz]) * np.array([0.98, 1.0, 1.02])  # where an inductive Zg1 or Zg2 is smallest
     spread = np.geomspace(1e-3, _end_hz(model, loop), 150)
     nu = np.concatenate([spread, np.abs(about.ravel()) / (2.0 * np.pi), w1, model.nu_hz])
     nu = np.unique(nu[nu <= spread[-1]])

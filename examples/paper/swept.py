@@ -13,10 +13,10 @@ from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.confirm import margin_with, sweep_with_damping
 from seqsweep.tuning.gain import GainSearch, search_gain
 from seqsweep.tuning.result import PointTuning
-from seqsweep.tuning.siso import Grid, Siso, siso
+from seqsweep.tuning.siso import SeriesRL, Siso, siso
 from seqsweep.tuning.tune import tune_point
 
-Z_GRID = Grid(0.012, 0.25, 50.0)
+Z_GRID = SeriesRL(0.012, 0.25, 50.0)
 """The line of Table I (ohm)."""
 
 SCR_1_8 = 0.648

@@ -22,7 +22,7 @@ from ...plant.damping.events import Event, Fault, Scenario, Trajectory, conditio
 from ...plant.errors import SeqsweepError, in_words
 from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
 from ...plant.registry import make_plant
-from ...tuning.siso import Grid
+from ...tuning.siso import Grid, SeriesRL
 from .scenario import Story
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def tuned_of(content: Mapping[str, Any], op_id: str | None = None) -> Tuned:
     return Tuned(
         op_id=section.id,
         plant=plant,
-        grid=Grid(grid["r_ohm"], grid["x_ohm"], grid["f1_hz"]),
+        grid=SeriesRL(grid["r_ohm"], grid["x_ohm"], grid["f1_hz"]),
         active_power_w=section.active_power_mw * 1e6,
         terminal_voltage_v=None if pcc_pu is None else pcc_pu * u,
         source_voltage_v=None if section.grid is None else section.grid.voltage_pu * u,
@@ -220,7 +220,7 @@ def cause_gone_of(response: FrequencyResponse) -> CauseGone:
 
     def gone(conditions: Conditions) -> bool:
         x_ohm = 2.0 * np.pi * model.f1_hz * conditions.l_h
-        return judge(model, Grid(conditions.r_ohm, x_ohm, model.f1_hz)).verdict == "stable"
+        return judge(model, SeriesRL(conditions.r_ohm, x_ohm, model.f1_hz)).verdict == "stable"
 
     return gone
 

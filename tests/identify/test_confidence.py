@@ -24,14 +24,14 @@ from seqsweep.tuning.margins import critical_scale
 from seqsweep.tuning.poles import mode_weight
 from seqsweep.tuning.remedy import remedy
 from seqsweep.tuning.result import format_table, with_doubt
-from seqsweep.tuning.siso import Grid, impedance_dq, siso
+from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, siso
 from seqsweep.tuning.stability import bode_crossings, critical_crossing, judge
 from seqsweep.tuning.tune import tune
 
 from ..support import oracle
 from .test_fit import F1_HZ, F_HZ, U_V
 
-LINE = Grid(0.012, 0.25, F1_HZ)
+LINE = SeriesRL(0.012, 0.25, F1_HZ)
 RANDOM = ("l_c_h", "r_f_ohm", "c_f_f", "c_dc_f", "k_pp", "k_pi", "k_p", "k_i", "k_rd_ohm", "k_dcp", "k_dci")
 
 
@@ -59,7 +59,7 @@ class Device(NamedTuple):
 
 def device(power_w: float = 0.65e6, voltage_v: float = 660.0, p: TurbineParameters = TABLE_I, r_over_x: float = 0.05):
     """The device with |v_pcc| held, on a grid of that R/X at the edge of an oscillation; None if there is no such."""
-    line = Grid(0.2 * r_over_x, 0.2, F1_HZ)
+    line = SeriesRL(0.2 * r_over_x, 0.2, F1_HZ)
 
     def poles(scale: float) -> np.ndarray:
         return oracle.closed_loop_poles(

@@ -12,10 +12,10 @@ from seqsweep.sweep.confirm import ConfirmError, confirm, margin_with
 from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.plan import make_plan
 from seqsweep.sweep.run.campaign import response_of
-from seqsweep.tuning.siso import Grid
+from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
 
-GRID = Grid(1.4 * 0.012, 1.4 * 0.25, 50.0)
+GRID = SeriesRL(1.4 * 0.012, 1.4 * 0.25, 50.0)
 POINT = {"grid": {"r_ohm": 0.012, "x_ohm": 0.25, "scale": 1.4}}
 PRINTED = {0.357: 1.00, 0.5: 1.05, 0.9: 1.20, 1.1: 1.29}
 """m of the re-swept turbine at 0.65 MW, 1.4 Z, by k (conventions, Damping control)."""

@@ -42,7 +42,7 @@ from seqsweep.plant.protocol import (
 from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM, TABLE_I
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.verify.verify import Tuned, VerifyError, compare, report
-from seqsweep.tuning.siso import Grid
+from seqsweep.tuning.siso import SeriesRL
 
 from ..plant.test_grey import LINE, POINT, plant
 from ..plant.test_grey_fmu import plant as fmu_plant
@@ -389,7 +389,7 @@ def test_a_controller_that_gives_up_on_the_way_is_told_in_its_words():
     """Its protection, say; the message names the run."""
     last_s = behind(1.0).time_s + 0.05
     device = plant("FAULT_ERROR", settings={"FaultTime": last_s})
-    grid = Grid(LINE_R_OHM, LINE_X_OHM, 50.0)
+    grid = SeriesRL(LINE_R_OHM, LINE_X_OHM, 50.0)
     tuned = Tuned("p", device, grid, 0.60e6, None, 690.0, 0.5, 77.0)
     with pytest.raises(VerifyError, match=r"without damping control does not come .* refuses at .* DC overvoltage"):
         compare(tuned, scenario(0.60e6, scale=1.0), settings(1.0), 0.1)

@@ -33,7 +33,7 @@ from seqsweep.sweep.verify.verify import (
     verify,
 )
 from seqsweep.tuning.result import write_json
-from seqsweep.tuning.siso import Grid
+from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
 
 CAMPAIGN = {
@@ -45,7 +45,7 @@ CAMPAIGN = {
     ],
     "sweep": {"f_min_hz": 2.0, "f_max_hz": 1000.0, "points": 60},
 }
-GRID = Grid(1.4 * 0.012, 1.4 * 0.25, 50.0)
+GRID = SeriesRL(1.4 * 0.012, 1.4 * 0.25, 50.0)
 
 
 @pytest.fixture(scope="module")

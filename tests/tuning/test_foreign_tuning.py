@@ -12,7 +12,7 @@ from seqsweep.identify.table.read import read_table
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.confirm import sweep_with_damping
 from seqsweep.tuning.result import write_json
-from seqsweep.tuning.siso import Grid
+from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
 
 from ..support.commands import call
@@ -31,7 +31,7 @@ CAMPAIGN = {
     "operating_point": [{"id": "weak", "active_power_mw": 0.60, "grid": {"r_ohm": 0.012, "x_ohm": 0.25, "scale": 1.4}}],
     "sweep": {"f_min_hz": 2.0, "f_max_hz": 1000.0, "points": 40, "probes": 0},
 }
-GRID = Grid(1.4 * 0.012, 1.4 * 0.25, 50.0)
+GRID = SeriesRL(1.4 * 0.012, 1.4 * 0.25, 50.0)
 
 
 def foreign(configuration):

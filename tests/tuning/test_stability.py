@@ -18,7 +18,7 @@ from seqsweep.tuning.margins import (
     passivity,
 )
 from seqsweep.tuning.poles import closed_loop, closed_loop_poles
-from seqsweep.tuning.siso import Grid, impedance_dq, impedance_pn, parse_grid, siso, siso_of_response
+from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, impedance_pn, parse_grid, siso, siso_of_response
 from seqsweep.tuning.stability import (
     MAX_STEP_DEG,
     Stability,
@@ -32,7 +32,7 @@ from seqsweep.tuning.stability import (
 from ..identify.test_fit import F1_HZ, F_HZ, T_PN, U_V, W1, circuit, turbine
 from ..support import oracle
 
-LINE = Grid(0.012, 0.25, F1_HZ)
+LINE = SeriesRL(0.012, 0.25, F1_HZ)
 P_W = 0.65e6
 
 
@@ -69,7 +69,7 @@ def near_critical(rng: np.random.Generator) -> Case:
     """Random power and R/X; X is sought so that the rightmost pole is 0.1 to 5 rad/s on either side of the axis."""
     while True:
         power_w, r_over_x = rng.uniform(0.2e6, 1.3e6), rng.uniform(0.01, 0.3)
-        line = Grid(r_over_x, 1.0, F1_HZ)
+        line = SeriesRL(r_over_x, 1.0, F1_HZ)
         target = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.1), np.log(5.0)))
         low, high = 0.02, 1.2
         while high - low > 1e-5:
@@ -224,19 +224,20 @@ def test_locus_turns_less_than_30_degrees_per_step_and_counts_whole_turns() -> N
     assert np.all(np.diff(winding.nu_hz) > 0.0)
 
 
-def test_locus_is_the_determinant_of_y_plus_yg() -> None:
+def test_locus_is_the_determinant_of_one_plus_y_z() -> None:
+    """Y ends in a constant and Z in s L, so that it grows with s^2, which a stable factor takes out."""
     at = case(1.2)
     model = fit_response(turbine(P_W, at.voltage_v))
     winding = wind(model, at.grid)
     s = 2j * np.pi * winding.nu_hz
-    determinant = np.linalg.det(evaluate(model, s) + np.linalg.inv(impedance_dq(at.grid, s)))
-    np.testing.assert_allclose(winding.locus, determinant, rtol=1e-6)
+    determinant = np.linalg.det(np.eye(2) + evaluate(model, s) @ impedance_dq(at.grid, s))
+    np.testing.assert_allclose(winding.locus * (1.0 + s / W1) ** 2, determinant, rtol=1e-6)
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.2, 1.4, 1.6])
 def test_lossless_grid_needs_no_hint_at_its_poles(scale: float) -> None:
     """R = 0 puts the poles of Yg on the axis, at 0 and 2 f1; 100 Hz is in the table."""
-    lossless = Grid(0.0, 0.25 * scale, F1_HZ)
+    lossless = SeriesRL(0.0, 0.25 * scale, F1_HZ)
     poles = oracle.closed_loop_poles(P_W, 0.0, lossless.l_h, terminal_voltage_v=U_V)
     assert np.any(F_HZ == 2.0 * F1_HZ)
     stability = judge(fit_response(turbine()), lossless)
@@ -433,7 +434,7 @@ def test_determinant_factors_into_the_two_siso_loops() -> None:
 
 def test_lossless_grid_is_infinite_at_twice_the_fundamental_and_y1_is_not() -> None:
     f = np.array([2.0 * F1_HZ])
-    pair = siso(f, oracle.admittance_pn(f, P_W, U_V), Grid(0.0, 0.25, F1_HZ))
+    pair = siso(f, oracle.admittance_pn(f, P_W, U_V), SeriesRL(0.0, 0.25, F1_HZ))
     assert np.isinf(pair.yg2[0])
     assert np.isfinite(pair.y1[0])
 
@@ -454,7 +455,7 @@ def test_crossings_are_found_in_a_plain_admittance_too() -> None:
 )
 def test_impossible_grids_are_refused(r_ohm: float, x_ohm: float, f1_hz: float) -> None:
     with pytest.raises(ValueError, match="need R >= 0, X > 0 and f1 > 0"):
-        Grid(r_ohm, x_ohm, f1_hz)
+        SeriesRL(r_ohm, x_ohm, f1_hz)
 
 
 def test_grid_is_read_as_r_plus_jx() -> None:
@@ -468,7 +469,7 @@ def test_grid_is_read_as_r_plus_jx() -> None:
 
 def test_grid_of_another_fundamental_is_refused() -> None:
     with pytest.raises(ValueError, match="the table's fundamental is 50 Hz, the grid's 60 Hz"):
-        judge(fit_response(turbine()), Grid(0.012, 0.25, 60.0))
+        judge(fit_response(turbine()), SeriesRL(0.012, 0.25, 60.0))
 
 
 def test_siso_needs_the_phase_frame() -> None:

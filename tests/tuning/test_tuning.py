@@ -23,13 +23,13 @@ from seqsweep.tuning.figures import bode_figure, locus_figure, plot_result, pole
 from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
 from seqsweep.tuning.grid_check import grid_warnings, source_voltage_v
 from seqsweep.tuning.result import TuningResult, confirmed, format_table, schema, to_json, write_json
-from seqsweep.tuning.siso import Grid, parse_grid, siso
+from seqsweep.tuning.siso import SeriesRL, parse_grid, siso
 from seqsweep.tuning.tune import tune, tune_point
 
 from ..identify.test_fit import F1_HZ, F_HZ, U_V, circuit, turbine
 from ..support import oracle
 
-GRID = Grid(0.0168, 0.35, F1_HZ)
+GRID = SeriesRL(0.0168, 0.35, F1_HZ)
 """1.4 Z of Table I."""
 
 BASES = {"rated_voltage_v": U_V, "rated_power_va": 1.632e6}
@@ -111,7 +111,7 @@ def test_a_grid_is_read_as_it_is_printed_and_as_people_write_it(text: str) -> No
 
 def test_a_grid_in_milliohm_is_asked_about() -> None:
     bases = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
-    assert any("is that its unit?" in remark for remark in grid_warnings({}, bases, Grid(12.0, 250.0, F1_HZ)))
+    assert any("is that its unit?" in remark for remark in grid_warnings({}, bases, SeriesRL(12.0, 250.0, F1_HZ)))
     assert grid_warnings({}, bases, GRID) == ()
 
 
@@ -174,7 +174,7 @@ def test_wrong_calls_are_refused() -> None:
     with pytest.raises(ValueError, match="reads the pn frame"):
         tune([FrequencyResponse(F_HZ, turbine().y, F1_HZ, frame="dq")], GRID)
     with pytest.raises(ValueError, match="the table's fundamental is 50 Hz, the grid's 60 Hz"):
-        tune([turbine()], Grid(0.01, 0.2, 60.0))
+        tune([turbine()], SeriesRL(0.01, 0.2, 60.0))
 
 
 def table_file(folder: Path, drop: str | None = None) -> Path:
@@ -369,7 +369,7 @@ def test_table_fits_the_terminal(result: TuningResult, width: int) -> None:
 
 
 def test_false_alarm_of_the_bode_criterion_is_told_in_the_terminal() -> None:
-    grid = Grid(0.0144, 0.3, F1_HZ)
+    grid = SeriesRL(0.0144, 0.3, F1_HZ)
     voltage = oracle.terminal_voltage(0.65e6, grid.r_ohm, grid.l_h, U_V)
     text = format_table(tune([turbine(0.65e6, voltage)], grid))
     assert "The Bode criterion alarms on Y1 at 23.12 Hz (m = 0.33)" in " ".join(text.split())

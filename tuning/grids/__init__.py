@@ -1,0 +1,1 @@
+"""The grid behind the PCC: a promise, and everything that keeps it."""
