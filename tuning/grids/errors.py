@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ...plant.errors import SeqsweepError
 
-class GridError(ValueError):
+
+class GridError(SeqsweepError):
     """A grid that cannot be used as given: what was given, what is needed, and the way out."""

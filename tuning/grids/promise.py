@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from ...plant.errors import SeqsweepError
 from ..network.descriptor import Descriptor, J
 
 
