@@ -42,8 +42,8 @@ record = replace(
 )
 
 found = identify_grid(record, injection)
-print(f"R = {found.r_ohm:.5f} +- {found.r_std_ohm:.5f} ohm, true {R_OHM:g}")
-print(f"X = {found.x_ohm:.5f} +- {found.x_std_ohm:.5f} ohm at {found.f1_hz:g} Hz, true {X_OHM:g}")
+print(f"R = {found.r_ohm:.5f} +- {1.96 * found.r_std_ohm:.5f} ohm, true {R_OHM:g}")
+print(f"X = {found.x_ohm:.5f} +- {1.96 * found.x_std_ohm:.5f} ohm at {found.f1_hz:g} Hz, true {X_OHM:g}")
 print(f"an R-L branch: {found.is_rl} (residual as large by chance: {found.p_value:.0%})")
 if len(sys.argv) > 1:
     plot([GridSeen("Table I, 0.5 % noise", found, float("nan"), "")], sys.argv[1])

@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...identify.files import atomic_file
 from ...identify.grid_impedance import GridImpedance
 from ...plant.errors import SeqsweepError
-from ..report.bode import _RC, _WITHOUT_TIME
+from ...tuning.intervals import NORMAL_95
+from ...tuning.style import COLOURS, grid_lines, new_figure, write_figure
 from .probe import GridSeen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_COLOURS = ("#08519c", "#d94801", "#238b45", "#6a51a3", "#000000", "#8c2d04")
 
 
 def plot(seen: Sequence[GridSeen], path: str | Path) -> None:
@@ -34,37 +32,31 @@ def plot(seen: Sequence[GridSeen], path: str | Path) -> None:
     """
     if not any(each.found for each in seen):
         raise SeqsweepError("there is no identified grid to draw")
-    import matplotlib
-
-    suffix = Path(path).suffix.lower()
-    with matplotlib.rc_context(_RC), atomic_file(path) as file:
-        grid_figure(seen).savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+    write_figure(path, lambda: grid_figure(seen))
 
 
 def grid_figure(seen: Sequence[GridSeen]) -> Figure:
     """The figure that `plot` writes."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.16, 4.6), layout="constrained")
+    figure = new_figure(4.6)
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.0, 1.4]})
-    drawn = [(each, each.found) for each in seen if each.found is not None][: len(_COLOURS)]
-    for (each, found), colour in zip(drawn, _COLOURS, strict=False):
+    drawn = [(each, each.found) for each in seen if each.found is not None][: len(COLOURS)]
+    for (each, found), colour in zip(drawn, COLOURS, strict=False):
         _draw(upper, found, 0, colour)
         _draw(lower, found, 1, colour)
         lower.plot([], [], color=colour, label=f"{each.op_id}: {found.r_ohm:.4g} + j{found.x_ohm:.4g} $\\Omega$")
     upper.set_ylabel(r"Re $Z_{\mathrm{grid}}$ ($\Omega$)")
     lower.set_ylabel(r"Im $Z_{\mathrm{grid}}$ ($\Omega$)")
     lower.set_xlabel("Frequency (Hz), negative sequence below zero")
-    lower.legend(loc="upper left", frameon=False, title="lines with two standard deviations, and the fit")
+    lower.legend(loc="upper left", frameon=False, title="lines with 95 % intervals, and the fit")
     for axes in (upper, lower):
         axes.axvline(0.0, color="0.8", lw=0.6, zorder=0)
-        axes.grid(True, color="0.92", lw=0.5)
+        grid_lines(axes)
     return figure
 
 
 def _draw(axes: Axes, found: GridImpedance, part: int, colour: str) -> None:
     """Real (0) or imaginary (1) part."""
     values, fit = ((z.real, z.imag)[part] for z in (found.z, found.fitted(found.f_hz)))
-    errors = np.sqrt(2.0) * found.z_std  # two standard deviations of one of the two parts
+    errors = NORMAL_95 * found.z_std / np.sqrt(2.0)  # of one of the two parts
     axes.errorbar(found.f_hz, values, errors, fmt=".", ms=2.5, lw=0.6, color=colour, alpha=0.6)
     axes.plot(found.f_hz, fit, color=colour, lw=1.2)

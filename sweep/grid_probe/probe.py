@@ -22,6 +22,7 @@ from ...identify.grid_impedance import GridImpedance, identify_grid
 from ...plant.errors import SeqsweepError, reason_of
 from ...plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ...plant.registry import PlantCard
+from ...tuning.intervals import NORMAL_95
 from ..config.sections import MAX_AMPLITUDE_PU
 from ..excitation.frequencies import coherent_block
 from ..excitation.odd_lines import SignalError
@@ -231,10 +232,10 @@ def _report_lines(seen: GridSeen, f1_hz: float) -> Iterator[str]:
         yield f"{seen.op_id}: {seen.reason}"
         return
     r, x = (
-        f"{_rounded(value, std, hypot(found.r_ohm, found.x_ohm))} +- {std:.2g} ohm"
+        f"{_rounded(value, std, hypot(found.r_ohm, found.x_ohm))} +- {NORMAL_95 * std:.2g} ohm"
         for value, std in ((found.r_ohm, found.r_std_ohm), (found.x_ohm, found.x_std_ohm))
     )
-    yield f"{seen.op_id}: R = {r}, X = {x} at {f1_hz:g} Hz, SCR {seen.scr:.4g} (one standard error)"
+    yield f"{seen.op_id}: R = {r}, X = {x} at {f1_hz:g} Hz, SCR {seen.scr:.4g} (95 % intervals)"
     yield f"  {seen.reason}" if seen.reason else f'  seqsweep tune TABLE.parquet --grid "{grid_text(seen)}"'
 
 

@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...identify.files import atomic_file
+from ...identify.fit.adaptive import MIN_ROWS, interpolate
 from ...identify.response import FrequencyResponse
-from ...identify.table.format import TableError, std_of
+from ...identify.table.format import TableError
 from ...identify.table.read import iter_responses, read_metadata
 from ...plant.errors import SeqsweepError
+from ...tuning.intervals import NORMAL_95
+from ...tuning.style import COLOURS, DASHES, WARNING, escaped, grid_lines, new_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SUFFIXES = (".png", ".svg", ".pdf")
 MAX_OVERLAID = 6
 
 _TITLES = ("$Y_{pp}$", "$Y_{pn}$", "$Y_{np}$", "$Y_{nn}$")
@@ -32,23 +33,8 @@ _MEANINGS = (
     r"conj $I(2f_1{-}f)$ per $V(f)$",
     r"conj $I(2f_1{-}f)$ per conj $V(2f_1{-}f)$",
 )
-# Dark to light, so that a grey copy still tells them apart, and by dashes besides.
-_COLOURS = ("#000000", "#8c2d04", "#08519c", "#238b45", "#e6750a", "#7b9fd4")
-_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 1)))
-_DOUBTFUL: dict[str, Any] = {"linestyle": "none", "color": "#cb181d", "marker": "x", "markersize": 5}
-_NOTHING: dict[str, Any] = {"linestyle": "none", "color": "#cb181d", "marker": "|", "markersize": 6}
-_RC: dict[Any, Any] = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 9.0,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 1.1,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "svg.hashsalt": "seqsweep",
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,
-}
+_DOUBTFUL: dict[str, Any] = {"linestyle": "none", "color": WARNING, "marker": "x", "markersize": 5}
+_NOTHING: dict[str, Any] = {"linestyle": "none", "color": WARNING, "marker": "|", "markersize": 6}
 
 
 class _Curve(NamedTuple):
@@ -56,6 +42,7 @@ class _Curve(NamedTuple):
     response: FrequencyResponse
     colour: str
     dashes: Any
+    between: tuple[np.ndarray, np.ndarray] | None
 
 
 def bode(
@@ -85,36 +72,17 @@ def bode(
     TableError
         If the file is not a readable table, or has no such operating point; nothing is written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        given = f"given {suffix!r}" if suffix else "given none"
-        raise SeqsweepError(
-            f"{path}: the suffix decides the format of the plot; {given}, needed: {', '.join(SUFFIXES)}"
-        )
     meta, responses, total = _chosen(table, op_id)
-    import matplotlib
-
-    with matplotlib.rc_context(_RC), atomic_file(path) as file:
-        figure = bode_figure(responses, _title(meta, responses, total))
-        figure.savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+    write_figure(path, lambda: bode_figure(responses, _title(meta, responses, total)))
     return tuple(str(response.meta["op_id"]) for response in responses)
-
-
-_WITHOUT_TIME: dict[str, dict[str, Any]] = {
-    ".png": {"Software": None},
-    ".svg": {"Date": None, "Creator": None},
-    ".pdf": {"CreationDate": None, "Producer": None, "Creator": None},
-}
 
 
 def bode_figure(responses: Sequence[FrequencyResponse], title: str = "") -> Figure:
     """The figure that `bode` writes."""
-    from matplotlib.figure import Figure
-
     if wrong := next((response.frame for response in responses if response.frame != "pn"), None):
         raise SeqsweepError(f"the plot shows the pn frame, a response is in {wrong!r}: convert it first")
-    curves = [_Curve(_label(r), r, c, d) for r, c, d in zip(responses, _COLOURS, _DASHES, strict=False)]
-    figure = Figure(figsize=(7.16, 7.0), layout="constrained")
+    curves = [_Curve(_label(r), r, c, d, _certified(r)) for r, c, d in zip(responses, COLOURS, DASHES, strict=False)]
+    figure = new_figure(7.0)
     axes = figure.subplots(4, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]})
     for element in range(4):
         row, column = divmod(element, 2)
@@ -159,8 +127,8 @@ def _title(meta: Mapping[str, Any], responses: Sequence[FrequencyResponse], tota
     device = [str(plant["id"])] if isinstance(plant, Mapping) and "id" in plant else []
     if len(responses) == 1:
         of = f" ({total} in the table)" if total > 1 else ""
-        return _escaped(", ".join([*device, _label(responses[0])]) + of)
-    return _escaped(", ".join([*device, f"{len(responses)} operating points"]))
+        return escaped(", ".join([*device, _label(responses[0])]) + of)
+    return escaped(", ".join([*device, f"{len(responses)} operating points"]))
 
 
 def _label(response: FrequencyResponse) -> str:
@@ -168,11 +136,6 @@ def _label(response: FrequencyResponse) -> str:
     values = [f"{value:.4g} {unit}" for value, unit in ((power, "MW"), (voltage, "pu")) if value is not None]
     name = str(response.meta["op_id"])
     return f"{name}: {', '.join(values)}" if values else name
-
-
-def _escaped(text: str) -> str:
-    """A name may hold a dollar sign; it does not start mathematics."""
-    return text.replace("$", r"\$")
 
 
 def _draw_element(magnitude: Axes, phase: Axes, curves: Sequence[_Curve], element: int) -> None:
@@ -184,32 +147,73 @@ def _draw_element(magnitude: Axes, phase: Axes, curves: Sequence[_Curve], elemen
     phase.set_ylim(-190.0, 190.0)
     phase.set_yticks([-180, -90, 0, 90, 180])
     for axes in (magnitude, phase):
-        axes.grid(True, which="major", linewidth=0.4, color="0.8")
-        axes.grid(True, which="minor", linewidth=0.25, color="0.92")
-        axes.tick_params(which="both", top=False, right=True)
-        axes.set_axisbelow(True)
+        grid_lines(axes)
         _mark_fundamental(axes, curves, named=axes is magnitude)
 
 
 def _draw_curve(magnitude: Axes, phase: Axes, curve: _Curve, element: int, dotted: bool) -> None:
+    """Rows, their 95 % intervals, and between them the certified interpolation where there is one."""
     response = curve.response
     f = np.asarray(response.f_hz)
     y = np.asarray(response.y).reshape(-1, 4)[:, element]
-    std = std_of(np.asarray(response.covariance))[:, element]
     good = np.where(response.ok, y, complex(np.nan, np.nan))
     size, angle = np.abs(good), np.degrees(np.angle(good))
-    spread = np.degrees(np.arcsin(np.minimum(1.0, std / size)))
+    of_size, of_angle = _half_intervals(response, element)
     line: dict[str, Any] = {"color": curve.colour, "linestyle": curve.dashes}
-    magnitude.plot(f, size, **line)
-    phase.plot(*_without_streaks(f, angle), **line)
-    if dotted:
-        dots: dict[str, Any] = {"color": curve.colour, "linestyle": "none", "marker": ".", "markersize": 2.5}
+    fine_f, fine_y = _between(curve, element)
+    magnitude.plot(fine_f, np.abs(fine_y), **line)
+    phase.plot(*_without_streaks(fine_f, np.degrees(np.angle(fine_y))), **line)
+    if dotted or _interpolated(response):
+        dots: dict[str, Any] = {"color": curve.colour, "linestyle": "none", "marker": ".", "markersize": 3.5}
         magnitude.plot(f, size, **dots)
         phase.plot(f, angle, **dots)
-    low = np.maximum(size - std, 1e-6 * size)
-    magnitude.fill_between(f, low, size + std, color=curve.colour, alpha=0.22, linewidth=0.0)
-    phase.errorbar(f, angle, yerr=spread, fmt="none", ecolor=curve.colour, elinewidth=0.6, alpha=0.5)
+    low = np.maximum(size - of_size, 1e-6 * size)
+    magnitude.fill_between(f, low, size + of_size, color=curve.colour, alpha=0.22, linewidth=0.0)
+    phase.errorbar(f, angle, yerr=of_angle, fmt="none", ecolor=curve.colour, elinewidth=0.6, alpha=0.5)
     _draw_not_ok(magnitude, phase, response, y)
+
+
+def _half_intervals(response: FrequencyResponse, element: int) -> tuple[np.ndarray, np.ndarray]:
+    """Half the 95 % intervals (n,) of magnitude (S) and phase (deg) of an element; NaN where they are unknown."""
+    y = np.asarray(response.y).reshape(-1, 4)[:, element]
+    block = np.asarray(response.covariance)[:, 2 * element : 2 * element + 2, 2 * element : 2 * element + 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        outward = np.stack([y.real, y.imag], axis=1) / np.abs(y)[:, None]
+        across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+        radial, tangential = (NORMAL_95 * np.sqrt(np.einsum("ni,nij,nj->n", u, block, u)) for u in (outward, across))
+        return radial, np.degrees(np.arcsin(np.minimum(1.0, tangential / np.abs(y))))
+
+
+def _interpolated(response: FrequencyResponse) -> bool:
+    """Whether the sweep was adaptive: its rows are where they have to be for the interpolation, not for the eye."""
+    return "interpolation" in response.meta
+
+
+def _between(curve: _Curve, element: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (m,) and admittances (m,) of the line that is drawn through the rows of an element."""
+    response, fine = curve.response, curve.between
+    if fine is None:
+        y = np.asarray(response.y).reshape(-1, 4)[:, element]
+        return np.asarray(response.f_hz), np.where(response.ok, y, complex(np.nan, np.nan))
+    return fine[0], fine[1].reshape(-1, 4)[:, element]
+
+
+def _certified(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray] | None:
+    """Frequencies (m,) and admittances (m, 2, 2) of an adaptive table's interpolation; None for other tables.
+
+    Too close to f1 for the certificate the line has a gap.
+    """
+    if not _interpolated(response) or np.count_nonzero(response.usable) < MIN_ROWS:
+        return None
+    f_hz, f1_hz = np.asarray(response.f_hz), response.f1_hz
+    nearest_hz = response.meta["interpolation"]["except_within_hz_of_f1"] or 1e-3 * f1_hz
+    about_f1 = np.geomspace(nearest_hz, 0.5 * f1_hz, 200)
+    fine = np.concatenate([f_hz, np.geomspace(f_hz[0], f_hz[-1], 1000), f1_hz - about_f1, [f1_hz], f1_hz + about_f1])
+    fine = np.unique(fine[(fine >= f_hz[0]) & (fine <= f_hz[-1])])
+    y = np.full((len(fine), 2, 2), complex(np.nan, np.nan))
+    sure = np.abs(fine - f1_hz) >= nearest_hz * (1.0 - 1e-9)
+    y[sure] = interpolate(response, fine[sure])
+    return fine, y
 
 
 def _draw_not_ok(magnitude: Axes, phase: Axes, response: FrequencyResponse, y: np.ndarray) -> None:
@@ -275,9 +279,16 @@ def _mirror_axis(axes: Axes, responses: Sequence[FrequencyResponse]) -> None:
         {*decades.tolist(), f1_hz, 2.0 * f1_hz} & {f for f in (*decades, f1_hz, 2 * f1_hz) if low <= f <= high}
     )
     above = axes.secondary_xaxis("top")
-    above.set_xticks(ticks, [f"{2.0 * f1_hz - f:g}".replace("-", "\N{MINUS SIGN}") for f in ticks], fontsize=8)
+    above.set_xticks(ticks, [_mirror_text(f, f1_hz) for f in ticks], fontsize=8)
     above.xaxis.set_minor_locator(NullLocator())
     above.set_xlabel("mirror $2f_1 - f$ (Hz)", fontsize=8)
+
+
+def _mirror_text(f_hz: float, f1_hz: float) -> str:
+    """2 f1 - f in words; what rounding leaves of zero is zero, not -7.9e-13."""
+    mirror_hz = 2.0 * f1_hz - f_hz
+    text = "0" if abs(mirror_hz) < 1e-9 * f1_hz else f"{mirror_hz:g}"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _legend(figure: Figure, curves: Sequence[_Curve]) -> None:
@@ -286,10 +297,14 @@ def _legend(figure: Figure, curves: Sequence[_Curve]) -> None:
     from matplotlib.patches import Patch
 
     handles: list[Any] = []
+    if any(c.between is not None for c in curves):
+        sure = all(c.response.meta["interpolation"]["certified"] for c in curves if c.between is not None)
+        label = "rows and certified interpolation" if sure else "rows and interpolation, not certified everywhere"
+        handles.append(Line2D([], [], color=curves[0].colour, marker=".", markersize=5, label=label))
     if len(curves) > 1:
-        handles += [Line2D([], [], color=c.colour, linestyle=c.dashes, label=_escaped(c.label)) for c in curves]
+        handles += [Line2D([], [], color=c.colour, linestyle=c.dashes, label=escaped(c.label)) for c in curves]
     if any(np.isfinite(np.asarray(c.response.covariance)).any() for c in curves):
-        handles.append(Patch(color=curves[0].colour, alpha=0.22, linewidth=0, label="one standard deviation"))
+        handles.append(Patch(color=curves[0].colour, alpha=0.22, linewidth=0, label="95 % interval"))
     seen = [np.isfinite(np.asarray(c.response.y)[~c.response.ok]).all(axis=(1, 2)) for c in curves]
     if any(finite.any() for finite in seen):
         handles.append(Line2D([], [], label="not ok", **_DOUBTFUL))

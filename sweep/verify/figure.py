@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...identify.files import atomic_file
 from ...plant.damping.events import Event, Fault, Trajectory
-from ...plant.errors import SeqsweepError
-from ..report.bode import _RC, _WITHOUT_TIME, SUFFIXES
+from ...tuning.style import new_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,21 +39,12 @@ def plot(result: Verification, path: str | Path) -> None:
     SeqsweepError
         If the suffix is another one; nothing is written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SeqsweepError(f"{path}: the suffix decides the format of the plot; needed: {', '.join(SUFFIXES)}")
-    import matplotlib
-
-    with matplotlib.rc_context(_RC), atomic_file(path) as file:
-        figure = verification_figure(result)
-        figure.savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+    write_figure(path, lambda: verification_figure(result))
 
 
 def verification_figure(result: Verification) -> Figure:
     """The figure that `plot` writes."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.16, 7.2), layout="constrained")
+    figure = new_figure(7.2)
     axes = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [1.1, 1.1, 1, 1]})
     curves = (
         Curve("without damping control", result.without, _WITHOUT),

@@ -70,8 +70,8 @@ def test_a_simulator_from_elsewhere_is_swept_from_cold(tmp_path: Path) -> None:
 def test_the_grid_is_found_in_a_noisy_second(tmp_path: Path) -> None:
     picture = tmp_path / "grid.png"
     said = output_of(sys.executable, str(EXAMPLES / "identify_the_grid.py"), str(picture), cwd=tmp_path)
-    for found, std, true in re.findall(r"= (\S+) \+- (\S+) ohm.*true (\S+)", said):
-        assert abs(float(found) - float(true)) < 4.0 * float(std)
+    for found, half, true in re.findall(r"= (\S+) \+- (\S+) ohm.*true (\S+)", said):
+        assert abs(float(found) - float(true)) < 2.0 * float(half)
     assert "an R-L branch: True" in said
     assert picture.stat().st_size > 10_000
 

@@ -12,8 +12,9 @@ import pytest
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.format import TableError
 from seqsweep.identify.table.write import write_table
-from seqsweep.sweep.report.bode import MAX_OVERLAID, SUFFIXES, _without_streaks, bode, bode_figure
+from seqsweep.sweep.report.bode import MAX_OVERLAID, _without_streaks, bode, bode_figure
 from seqsweep.sweep.report.summary import LISTED_UP_TO, MIN_WIDTH, summary
+from seqsweep.tuning.style import SUFFIXES
 
 from ..support import oracle
 
@@ -207,7 +208,7 @@ def test_a_plot_names_device_frequencies_and_mirror(one: Path, tmp_path: Path) -
     text = (tmp_path / "bode.svg").read_text(encoding="utf-8")
     for said in ("dpmsg-v1, p065: 0.65 MW, 1 pu", "f (Hz)", "mirror", "Magnitude (S)", "Phase (deg)", "not ok"):
         assert said in text
-    assert "one standard deviation" in text
+    assert "95 % interval" in text
 
 
 def test_few_operating_points_are_overlaid_and_of_many_the_chosen_one_is_drawn(many: Path, tmp_path: Path) -> None:
@@ -242,3 +243,34 @@ def test_a_phase_that_wraps_runs_to_the_edge_and_comes_in_on_the_other_side() ->
     f, angle = _without_streaks(np.array([1.0, 10.0]), np.array([-175.0, 165.0]))
     np.testing.assert_allclose(angle, [-175.0, -180.0, np.nan, 180.0, 165.0])
     np.testing.assert_allclose(f[1], 10**0.25)
+
+
+def test_an_adaptive_table_is_drawn_by_its_interpolation_with_the_rows_as_dots():
+    """Ten rows of a narrow peak between them: the line must reach it, the dots must be the rows, f1 stays a gap."""
+    f_hz = np.array([1.0, 5.0, 12.0, 20.0, 35.0, 46.0, 54.0, 75.0, 95.0, 140.0, 300.0, 700.0])
+    certificate = {"certified": True, "except_within_hz_of_f1": 0.5}
+
+    def y_of(f):
+        s = 2j * np.pi * (f - 50.0)
+        y = 1.0 / (1.0 + 0.01 * s) + 40.0 * s / (s**2 + 20.0 * s + (2 * np.pi * 23.0) ** 2)
+        return y[:, None, None] * np.array([[1.0, 0.1], [0.1, 1.0]])
+
+    meta = {"op_id": "a", "interpolation": certificate}
+    response = FrequencyResponse(f_hz, y_of(f_hz), 50.0, covariance=np.tile(1e-18 * np.eye(8), (12, 1, 1)), meta=meta)
+    axes = bode_figure([response]).axes[0]
+    line, dots = axes.get_lines()[:2]
+    f, size = (np.asarray(x, dtype=float) for x in (line.get_xdata(), line.get_ydata()))
+    finite = np.isfinite(size)
+    np.testing.assert_allclose(size[finite], np.abs(y_of(f[finite])[:, 0, 0]), rtol=1e-3)
+    assert np.max(size[finite]) > 1.2 * np.max(np.abs(y_of(f_hz)[:, 0, 0]))  # the peak stands between the rows
+    assert np.all(np.abs(f[~finite] - 50.0) < 0.5)
+    np.testing.assert_array_equal(dots.get_xdata(), f_hz)
+
+
+def test_the_mirror_axis_holds_no_rounding():
+    f1_hz = 50.00000000000039
+    response = FrequencyResponse(np.array([1.0, 10.0, 100.0, 900.0]), np.ones((4, 2, 2)), f1_hz, meta={"op_id": "a"})
+    figure = bode_figure([response])
+    texts = [text.get_text() for child in figure.axes[0].child_axes for text in child.get_xticklabels()]
+    assert "0" in texts
+    assert not any("e" in text for text in texts)
