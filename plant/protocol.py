@@ -54,18 +54,25 @@ class OperatingPoint:
         Active power out of the device (W); what is metered is the plant's ``power_meaning``.
     terminal_voltage_v : float or None
         |v_pcc| as line-to-line RMS (V); None where the source fixes its own voltage instead.
+    reactive_power_var : float
+        Reactive power out of the device (var); a device without a set-point for it takes 0 alone.
     """
 
     active_power_w: float
     terminal_voltage_v: float | None
+    reactive_power_var: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class OperatingRange:
-    """Closed intervals in which a plant may be asked to settle: (lowest, highest)."""
+    """Closed intervals in which a plant may be asked to settle: (lowest, highest).
+
+    A device without a set-point for reactive power leaves ``reactive_power_var`` at its default: it takes 0 alone.
+    """
 
     active_power_w: tuple[float, float]
     terminal_voltage_v: tuple[float, float]
+    reactive_power_var: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,12 +201,15 @@ def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Pl
 def card_of(plant: Plant, spec: PlantSpec) -> PlantCard:
     """The card of a plant that ``spec`` made: plain values, whatever the plant made them of."""
     power, voltage = plant.operating_range.active_power_w, plant.operating_range.terminal_voltage_v
+    reactive = getattr(
+        plant.operating_range, "reactive_power_var", (0.0, 0.0)
+    )  # a foreign plant may have its own class
     return PlantCard(
         id=str(plant.id),
         f1_hz=float(plant.f1_hz),
         dt_s=float(plant.dt_s),
         rating=Rating(float(plant.rating.voltage_v), float(plant.rating.power_va)),
-        operating_range=OperatingRange((float(power[0]), float(power[1])), (float(voltage[0]), float(voltage[1]))),
+        operating_range=OperatingRange(*((float(low), float(high)) for low, high in (power, voltage, reactive))),
         power_meaning=str(plant.power_meaning),
         listens=isinstance(plant, PhasorPlant),
         releases_gil=releases_gil(plant),
@@ -333,5 +336,7 @@ def _refusal(plant_id: str, arguments: Mapping[str, Any], error: Exception) -> s
 
 
 register("branch-v1", "seqsweep.plant.rl_branch:RLBranch")
+register("gfl-v1", "seqsweep.plant.inverters.grid_following:GridFollowing")
+register("gfm-v1", "seqsweep.plant.inverters.grid_forming:GridForming")
 register("dpmsg-v1", "seqsweep.plant.turbine.reference:ReferenceTurbine")
 register("dpmsg-grey-v1", "seqsweep.plant.greybox.turbine:GreyTurbine", black_box=True)

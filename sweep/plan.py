@@ -82,6 +82,7 @@ class Condition:
     active_power_w: float
     terminal_voltage_v: float | None
     grid: Grid | None = None
+    reactive_power_var: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,19 +428,24 @@ def _adaptive(sweep: SweepSection) -> Adaptive | None:
 
 def _condition(section: OperatingPointSection, plant: PlantCard) -> Condition:
     power_w, u = section.active_power_mw * 1e6, plant.rating.voltage_v
+    reactive_var = (section.reactive_power_mvar or 0.0) * 1e6
     if section.grid is None:
         assert section.terminal_voltage_pu is not None
-        return Condition(section.id, power_w, section.terminal_voltage_pu * u)
+        return Condition(section.id, power_w, section.terminal_voltage_pu * u, None, reactive_var)
     g = section.grid
     grid = Grid(g.r_ohm * g.scale, reactance_to_inductance(g.x_ohm * g.scale, plant.f1_hz), g.voltage_pu * u)
-    return Condition(section.id, power_w, None, grid)
+    return Condition(section.id, power_w, None, grid, reactive_var)
 
 
 def _check_range(conditions: tuple[Condition, ...], plant: PlantCard) -> None:
     power, voltage = plant.operating_range.active_power_w, plant.operating_range.terminal_voltage_v
     u = plant.rating.voltage_v
     for condition in conditions:
-        named = [("active_power_mw", condition.active_power_w / 1e6, power[0] / 1e6, power[1] / 1e6, "MW")]
+        q_low, q_high = plant.operating_range.reactive_power_var
+        named = [
+            ("active_power_mw", condition.active_power_w / 1e6, power[0] / 1e6, power[1] / 1e6, "MW"),
+            ("reactive_power_mvar", condition.reactive_power_var / 1e6, q_low / 1e6, q_high / 1e6, "Mvar"),
+        ]
         if condition.terminal_voltage_v is not None:
             named.append(
                 ("terminal_voltage_pu", condition.terminal_voltage_v / u, voltage[0] / u, voltage[1] / u, "pu")
@@ -481,4 +487,4 @@ def _batch_pairs(n_points: int, n_conditions: int, plant: PlantCard) -> int:
 
 def operating_point(condition: Condition) -> OperatingPoint:
     """The condition as the plant takes it."""
-    return OperatingPoint(condition.active_power_w, condition.terminal_voltage_v)
+    return OperatingPoint(condition.active_power_w, condition.terminal_voltage_v, condition.reactive_power_var)

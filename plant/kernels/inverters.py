@@ -49,7 +49,7 @@ N_TONE_SLOTS = 4
 # Blackman taper as a0 + a1 c + a2 c^2 with the cosine c of the taper's phase.
 TAPER_0, TAPER_1, TAPER_2 = 0.42 - 0.08, -0.5, 2.0 * 0.08
 
-# Whether there is a block at the measurement port: tuples whose lengths the compiler knows, so that it compiles no test.
+# Whether there is a block at the measurement port: tuples, whose lengths the compiler knows; no test is left.
 PLAIN, COMPENSATED = (), (True,)
 
 # No "nnan" and no "ninf": a diverged lane must be seen.
@@ -211,12 +211,7 @@ def _forming(c, v, i_c, i_g, units, refs, v_dc, p):
     # Virtual impedance, voltage and current control, active damping.
     v_dq, i_c_dq, i_g_dq = _conj_times(unit, v), _conj_times(unit, i_c), _conj_times(unit, i_g)
     error_v = v_wanted - _times(p.r_v_pu, i_g_dq) - _j_times(w * p.l_v_pu, i_g_dq) - v_dq
-    i_wanted = (
-        _times(p.k_pv, error_v)
-        + _times(p.k_iv, xi)
-        + _j_times(w * p.c_f_pu, v_dq)
-        + _times(p.k_ffi, i_g_dq)
-    )
+    i_wanted = _times(p.k_pv, error_v) + _times(p.k_iv, xi) + _j_times(w * p.c_f_pu, v_dq) + _times(p.k_ffi, i_g_dq)
     error_i = i_wanted - i_c_dq
     e_dq = (
         _times(p.k_pc, error_i)

@@ -18,10 +18,10 @@ import numpy as np
 from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
+from ..lanes import n_tones_of, phasors_of, set_complex
 from ..protocol import (
     Compensation,
     Conditions,
-    Injection,
     Job,
     NotSettled,
     OperatingPoint,
@@ -151,6 +151,11 @@ class ReferenceTurbine:
         p = self.parameters
         power_w, terminal_voltage_v = operating_point.active_power_w, self._terminal_voltage(operating_point, source)
         self._check_range(power_w, terminal_voltage_v)
+        if operating_point.reactive_power_var != 0.0:
+            raise ValueError(
+                f"reactive power of {operating_point.reactive_power_var / 1e6:g} Mvar was asked of {self.id}, "
+                "which has no set-point for it: leave reactive_power_mvar at 0"
+            )
         machine = stationary.machine_equilibrium(p, power_w)
         grid_side = stationary.grid_side_equilibrium(p, power_w, terminal_voltage_v)
         self._check_limits(grid_side)
@@ -314,7 +319,7 @@ class ReferenceTurbine:
             sums = np.empty((n_blocks, 8, kernel.LANES))
             advance(lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
             ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
-            for member, end, phasors in zip(members, ends, _phasors(sums), strict=False):
+            for member, end, phasors in zip(members, ends, phasors_of(sums, _PHASE_PEAK, -_PHASE_PEAK), strict=False):
                 results[member] = end, phasors
         return results
 
@@ -363,7 +368,7 @@ class ReferenceTurbine:
         lane[kernel.COMP_R], lane[kernel.COMP_X] = compensation
         share, skew = _fault_division(self.parameters.r_f_ohm, conditions.fault_s)
         lane[kernel.FAULT_SHARE] = share
-        _set_complex(lane, kernel.FAULT_SKEW_RE, skew * turns(-2.0 * self.f1_hz * state.step * self.dt_s))
+        set_complex(lane, kernel.FAULT_SKEW_RE, skew * turns(-2.0 * self.f1_hz * state.step * self.dt_s))
 
     def _batches(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
@@ -377,7 +382,7 @@ class ReferenceTurbine:
                 members = of_kind[first : first + LANES]
                 together = [jobs[m] for m in members]
                 table = self._source_table(together)
-                n_tones = 0 if len(table) else max(_n_tones(job.injection) for job in together)
+                n_tones = 0 if len(table) else max(n_tones_of(job.injection) for job in together)
                 slots = self._fill(together, [windows[m] for m in members], block_steps, n_tones)
                 yield slots.ravel(), members, self._kernel(kind, table), n_tones
 
@@ -399,26 +404,26 @@ class ReferenceTurbine:
         x[: kernel.N_STATES] = state.values
         x[kernel.WIND] = state.wind_m_s
         shunt = self._shunt_voltage_ratio(self.f1_hz)
-        _set_complex(x, kernel.V_S_RE, state.v_source)
-        _set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
+        set_complex(x, kernel.V_S_RE, state.v_source)
+        set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
         x[kernel.COMP_R], x[kernel.COMP_X] = self.compensation
         x[kernel.NOTCH_W0] = self.parameters.w1_rad_s
         x[kernel.NOTCH_WIDTH] = 2.0 * NOTCH_XI * self.parameters.w1_rad_s
         x[kernel.FAULT_SHARE] = 1.0
         x[kernel.GRID_R] = source.r_ohm
         x[kernel.GRID_1_L] = 1.0 / source.l_h if source.kind == "thevenin" else 0.0
-        _set_complex(x, kernel.LINE_RE, turns((window.f_hz - self.f1_hz) * state.step * self.dt_s))
-        _set_complex(x, kernel.LINE_ROT_RE, turns((window.f_hz - self.f1_hz) * self.dt_s))
-        _set_complex(x, kernel.TAPER_RE, turns((window.first_block % window.n_blocks) / window.n_blocks))
-        _set_complex(x, kernel.TAPER_ROT_RE, turns(1.0 / (window.n_blocks * block_steps)))
+        set_complex(x, kernel.LINE_RE, turns((window.f_hz - self.f1_hz) * state.step * self.dt_s))
+        set_complex(x, kernel.LINE_ROT_RE, turns((window.f_hz - self.f1_hz) * self.dt_s))
+        set_complex(x, kernel.TAPER_RE, turns((window.first_block % window.n_blocks) / window.n_blocks))
+        set_complex(x, kernel.TAPER_ROT_RE, turns(1.0 / (window.n_blocks * block_steps)))
         mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
         x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
         tones = list(series_tones(job.injection, source, _grid_impedance(source)))
         for tone, (f_hz, amplitude) in enumerate(tones[:n_tones]):  # the others are in the table
             slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
-            _set_complex(x, slot, amplitude / _PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
-            _set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))
-            _set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
+            set_complex(x, slot, amplitude / _PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
+            set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))
+            set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
         return x
 
     def _shunt_voltage_ratio(self, f_hz: float) -> complex:
@@ -462,25 +467,3 @@ def _fault_division(r_f_ohm: float, fault_s: tuple[float, float, float]) -> tupl
 
 def _grid_impedance(source: Source) -> Callable[[float], complex]:
     return lambda f_hz: source.r_ohm + 2j * pi * f_hz * source.l_h
-
-
-def _n_tones(injection: Injection | None) -> int:
-    return len(injection.tones) if injection else 0
-
-
-def _set_complex(x: np.ndarray, slot: int, value: complex) -> None:
-    x[slot], x[slot + 1] = value.real, value.imag
-
-
-def _phasors(sums: np.ndarray) -> list[Phasors]:
-    """Block sums (n_blocks, 8, n_lanes) as phasors at line and mirror, load direction, lane by lane."""
-    v, i = _PHASE_PEAK * _line_and_mirror(sums[:, :4]), -_PHASE_PEAK * _line_and_mirror(sums[:, 4:])
-    return [Phasors(v_lane, i_lane) for v_lane, i_lane in zip(v, i, strict=True)]
-
-
-def _line_and_mirror(sums: np.ndarray) -> np.ndarray:
-    """Phasors (n_lanes, n_blocks, 2) of the four sums of products (n_blocks, 4, n_lanes)."""
-    re_re, im_im, im_re, re_im = sums.transpose(1, 2, 0)
-    line = (re_re + im_im) + 1j * (im_re - re_im)
-    mirror = (re_re - im_im) + 1j * (im_re + re_im)
-    return np.stack([line, mirror], axis=2)

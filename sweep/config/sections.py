@@ -57,12 +57,15 @@ class GridSection(_Section):
 
 
 class OperatingPointSection(_Section):
-    """One stationary condition: active power, and either |v_pcc| or the grid that decides it."""
+    """One stationary condition: active and reactive power, and either |v_pcc| or the grid that decides it."""
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")] = Field(
         description="a name of letters, digits, '_', '.' and '-', in quotes"
     )
     active_power_mw: Number = Field(description="a number, in MW")
+    reactive_power_mvar: Number | None = Field(
+        default=None, description="a number, in Mvar out of the device; 0 unless given"
+    )
     terminal_voltage_pu: Positive | None = Field(default=None, description="a number above 0, in pu")
     grid: GridSection | None = Field(
         default=None, description="a table { r_ohm = 0.012, x_ohm = 0.25, voltage_pu = 1.0, scale = 1.0 }"

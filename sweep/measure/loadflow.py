@@ -31,7 +31,7 @@ def reached(plant: Plant, source: Source, condition: Condition) -> tuple[Source,
         If the grid cannot carry the power.
     """
     if condition.grid is None:
-        return source, OperatingPoint(condition.active_power_w, condition.terminal_voltage_v)
+        return source, operating_point(condition)
     voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid)
     return feeding(source, condition), OperatingPoint(condition.active_power_w, voltage_v)
 

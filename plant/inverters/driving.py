@@ -1,0 +1,256 @@
+"""How the inverters are driven: jobs into the kernel's lanes, samples, phasors and traces out of them.
+
+The kernel works per unit in the dq frame at w1; what leaves it is a phase-peak space vector in load direction.
+"""
+
+from __future__ import annotations
+
+import cmath
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from ..damping.control import NOTCH_XI
+from ..injection import series_tones, turns
+from ..lanes import n_tones_of, phasors_of, set_complex
+from ..protocol import Compensation, Conditions, Job, Phasors, Rating, Record, Source, Trace, Window
+from ..turbine.tone_table import common_period, waveform
+from .equilibrium import References
+
+_CHUNK_STEPS = 4000
+"""Steps of a trace whose states are kept at a time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InverterState:
+    """All states of an inverter and what it is connected to; opaque to everybody else.
+
+    Attributes
+    ----------
+    step : int
+        Steps since time zero.
+    time_s : float
+        Time (s).
+    values : (24,) float
+        The kernel's states, read-only.
+    references : References
+        What the controls are asked for (pu).
+    dc : tuple of float
+        Current into the DC link at rated voltage (pu), and its slope over that voltage.
+    v_source : complex
+        Source voltage in the dq frame (pu).
+    source : Source
+        What feeds the PCC.
+    """
+
+    step: int
+    time_s: float
+    values: np.ndarray
+    references: References
+    dc: tuple[float, float]
+    v_source: complex
+    source: Source
+
+
+class LaneDriven(ABC):
+    """Jobs in lanes, eight at a time; what a device is, its class says."""
+
+    id: str
+    f1_hz: float
+    dt_s: float
+    rating: Rating
+    parameters: Any
+    compensation: Compensation
+
+    @abstractmethod
+    def _advance(self, port: bool) -> Callable[..., None]:
+        """The kernel for this device, with a block at its measurement port or without."""
+
+    @abstractmethod
+    def _synchronisation(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angle (rad) and speed (rad/s; NaN where there is none) of states (n, 24)."""
+
+    @property
+    def base_impedance_ohm(self) -> float:
+        """What one per unit of impedance means, U^2 / S (ohm)."""
+        return self.rating.voltage_v**2 / self.rating.power_va
+
+    def _per_unit(self, source: Source) -> complex:
+        """Impedance of the source at f1 (pu)."""
+        if source.kind == "ideal":
+            return 0j
+        return complex(source.r_ohm, self.parameters.w1_rad_s * source.l_h) / self.base_impedance_ohm
+
+    @property
+    def _compensated(self) -> bool:
+        return self.compensation != Compensation()
+
+    def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[InverterState, Record]]:
+        """Run every job ``n_steps`` further; see `Plant.run`."""
+        from ..kernels import inverters as kernel
+
+        results: list[tuple[InverterState, Record]] = []
+        for lanes, members, table, tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
+            samples = np.empty((n_steps, 4, kernel.LANES))
+            self._advance(self._compensated)(table, lanes, tones, self.parameters, self.dt_s, 1, kernel.V_RE, samples)
+            ends = self._ends(lanes, members, n_steps)
+            results += [
+                (end, self._record(job.state, samples[:, :, lane]))
+                for lane, (job, end) in enumerate(zip(members, ends, strict=True))
+            ]
+        return results
+
+    def run_phasors(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
+    ) -> list[tuple[InverterState, Phasors]]:
+        """Run every job ``n_blocks`` blocks further, listening to one line each; see `PhasorPlant`."""
+        from ..kernels import inverters as kernel
+
+        results: list[tuple[InverterState, Phasors]] = []
+        v_unit, i_unit = self.rating.peak_voltage_v, -self.rating.peak_current_a
+        for lanes, members, table, tones in self._batches(jobs, windows, block_steps):
+            sums = np.empty((n_blocks, 8, kernel.LANES))
+            self._advance(self._compensated)(
+                table, lanes, tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums
+            )
+            ends = self._ends(lanes, members, block_steps * n_blocks)
+            results += zip(ends, phasors_of(sums, v_unit, i_unit), strict=False)
+        return results
+
+    def trace(self, state: InverterState, conditions: Conditions, n_steps: int) -> tuple[InverterState, Trace]:
+        """Go on under ``conditions``, with everything worth seeing; see `MeasuredPlant.trace`.
+
+        Raises
+        ------
+        ValueError
+            If the state's source is ideal, or the conditions hold a fault or a wind.
+        """
+        self._refuse_impossible(state, conditions)
+        block = self.compensation if conditions.compensation is None else conditions.compensation
+        start = replace(
+            state,
+            source=replace(state.source, r_ohm=conditions.r_ohm, l_h=conditions.l_h),
+            references=state.references._replace(p=state.references.p * conditions.power_scale),
+        )
+        now, kept = start, []
+        for first in range(0, n_steps, _CHUNK_STEPS):
+            now, of_chunk = self._traced(now, block, min(_CHUNK_STEPS, n_steps - first))
+            kept.append(of_chunk)
+        trace = self._trace_of(start, np.concatenate(kept) if kept else np.empty((0, 0)))
+        return replace(now, references=state.references), trace
+
+    def _refuse_impossible(self, state: InverterState, conditions: Conditions) -> None:
+        if state.source.kind != "thevenin":
+            raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
+        if any(conditions.fault_s):
+            raise ValueError(f"{self.id} has no fault at the PCC, which lies between two inductances: step the grid")
+        if conditions.wind_m_s is not None:
+            raise ValueError(f"{self.id} has no wind: change its active power")
+
+    def _traced(self, state: InverterState, block: Compensation, n_steps: int) -> tuple[InverterState, np.ndarray]:
+        """States (24) and sample (4) of one lane before each of ``n_steps`` steps, with ``block`` at the port."""
+        from ..kernels import inverters as kernel
+
+        ((lanes, members, table, tones),) = self._batches([Job(state, None)], [Window(0.0, 1)], 1)
+        slots = lanes.reshape(-1, kernel.LANES)
+        slots[kernel.COMP], slots[kernel.COMP + 1] = (x / self.base_impedance_ohm for x in block)
+        kept = np.empty((n_steps, kernel.I_IM + 1, kernel.LANES))
+        self._advance(True)(table, lanes, tones, self.parameters, self.dt_s, 1, 0, kept)
+        (end,) = self._ends(lanes, members, n_steps)
+        states = np.concatenate([state.values[None], kept[:-1, : kernel.N_STATES, 0]])
+        return end, np.concatenate([states, kept[:, kernel.V_RE : kernel.I_IM + 1, 0]], axis=1)
+
+    def _trace_of(self, start: InverterState, kept: np.ndarray) -> Trace:
+        from ..kernels import inverters as kernel
+
+        states = kept[:, : kernel.N_STATES]
+        angle, speed = self._synchronisation(states)
+        record = self._record(start, kept[:, kernel.N_STATES :])
+        return Trace(record, states[:, kernel.V_DC], speed, angle - cmath.phase(start.v_source))
+
+    def _batches(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
+    ) -> Iterator[tuple[np.ndarray, list[Job], np.ndarray, int]]:
+        """Flat arrays of up to LANES jobs, in their order: (array, jobs, source table, tones)."""
+        from ..kernels.inverters import LANES, array_slots
+
+        for first in range(0, len(jobs), LANES):
+            members = list(jobs[first : first + LANES])
+            table = self._source_table(members)
+            tones = 0 if len(table) else max(n_tones_of(job.injection) for job in members)
+            x = np.zeros((array_slots(max(tones, 1)), LANES))
+            for lane, (job, window) in enumerate(zip(members, windows[first : first + LANES], strict=True)):
+                x[:, lane] = self._lane(job, window, block_steps, tones)
+            x[:, len(members) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write
+            yield x.ravel(), members, table, tones
+
+    def _lane(self, job: Job, window: Window, block_steps: int, tones: int) -> np.ndarray:
+        """One lane's column of the flat array."""
+        from ..kernels import inverters as kernel
+
+        state, source, z_base = job.state, job.state.source, self.base_impedance_ohm
+        x = np.zeros(kernel.array_slots(max(tones, 1)))
+        x[: kernel.N_STATES] = state.values
+        set_complex(x, kernel.V_S, state.v_source)
+        z = self._per_unit(source)
+        x[kernel.LINE_R], x[kernel.LINE_L] = z.real, z.imag
+        x[kernel.P_REF], x[kernel.Q_REF], x[kernel.V_REF] = state.references
+        x[kernel.DC_I], x[kernel.DC_SLOPE] = state.dc
+        set_complex(x, kernel.COMP, complex(*self.compensation) / z_base)
+        x[kernel.NOTCH_WIDTH] = 2.0 * NOTCH_XI * self.parameters.w1_rad_s
+        set_complex(x, kernel.LINE, turns((window.f_hz - self.f1_hz) * state.step * self.dt_s))
+        set_complex(x, kernel.LINE_ROT, turns((window.f_hz - self.f1_hz) * self.dt_s))
+        set_complex(x, kernel.TAPER, turns((window.first_block % window.n_blocks) / window.n_blocks))
+        set_complex(x, kernel.TAPER_ROT, turns(1.0 / (window.n_blocks * block_steps)))
+        mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
+        x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
+        for tone, (f_hz, amplitude) in enumerate(self._tones(job)[:tones]):  # the others are in the table
+            slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
+            set_complex(x, slot, amplitude * turns(f_hz * state.step * self.dt_s))
+            set_complex(x, slot + 2, turns(f_hz * 0.5 * self.dt_s))
+        return x
+
+    def _tones(self, job: Job) -> list[tuple[float, complex]]:
+        """Tones of a job as (frequency in the dq frame in Hz, voltage at time zero in pu)."""
+        source = job.state.source
+        return [
+            (f_hz - self.f1_hz, v / self.rating.peak_voltage_v)
+            for f_hz, v in series_tones(job.injection, source, lambda f_hz: source.r_ohm + 2j * pi * f_hz * source.l_h)
+        ]
+
+    def _source_table(self, jobs: list[Job]) -> np.ndarray:
+        """The jobs' sources over a period as the kernel's table, (n, 2, LANES); of no rows where tones are cheaper."""
+        from ..kernels.inverters import LANES
+
+        rows_per_s = 2.0 / self.dt_s
+        spectra = [self._tones(job) for job in jobs]
+        n_rows = common_period(spectra, rows_per_s)
+        table = np.zeros((n_rows, 2, LANES))
+        for lane in range(LANES if n_rows else 0):
+            member = lane if lane < len(jobs) else 0  # idle lanes follow the first
+            state = jobs[member].state
+            wave = waveform([(0.0, state.v_source), *spectra[member]], rows_per_s, n_rows, 2 * state.step)
+            table[:, 0, lane], table[:, 1, lane] = wave.real, wave.imag
+        return table
+
+    def _ends(self, lanes: np.ndarray, jobs: list[Job], n_steps: int) -> list[InverterState]:
+        from ..kernels.inverters import LANES, N_STATES
+
+        values = lanes.reshape(-1, LANES)[:N_STATES].T.copy()
+        values.setflags(write=False)
+        steps = [job.state.step + n_steps for job in jobs]
+        return [
+            replace(job.state, step=step, time_s=step * self.dt_s, values=x)
+            for job, step, x in zip(jobs, steps, values, strict=False)
+        ]
+
+    def _record(self, state: InverterState, samples: np.ndarray) -> Record:
+        time_s = (state.step + np.arange(len(samples))) * self.dt_s
+        to_stationary = np.exp(2j * pi * ((self.f1_hz * time_s) % 1.0))
+        v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary * self.rating.peak_voltage_v
+        i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary * self.rating.peak_current_a
+        return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
