@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..damping.control import NOTCH_XI
+from ..errors import SeqsweepError
 from ..injection import series_tones, turns
 from ..lanes import n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, Phasors, Rating, Record, Source, Trace, Window
@@ -145,11 +146,11 @@ class LaneDriven(ABC):
 
     def _refuse_impossible(self, state: InverterState, conditions: Conditions) -> None:
         if state.source.kind != "thevenin":
-            raise ValueError("trace needs a state behind a thevenin source; this one has an ideal source")
+            raise SeqsweepError("trace needs a state behind a thevenin source; this one has an ideal source")
         if any(conditions.fault_s):
-            raise ValueError(f"{self.id} has no fault at the PCC, which lies between two inductances: step the grid")
+            raise SeqsweepError(f"{self.id} has no fault at the PCC, which lies between two inductances: step the grid")
         if conditions.wind_m_s is not None:
-            raise ValueError(f"{self.id} has no wind: change its active power")
+            raise SeqsweepError(f"{self.id} has no wind: change its active power")
 
     def _traced(self, state: InverterState, block: Compensation, n_steps: int) -> tuple[InverterState, np.ndarray]:
         """States (24) and sample (4) of one lane before each of ``n_steps`` steps, with ``block`` at the port."""

@@ -10,6 +10,7 @@ import cmath
 from math import sqrt
 from typing import NamedTuple
 
+from ..errors import SeqsweepError
 from .parameters import FollowingParameters, FormingParameters
 
 
@@ -75,7 +76,7 @@ def terminal_voltage(power: complex, z: complex, source: float) -> float:
     half = 0.5 * source**2 + (z * power.conjugate()).real
     discriminant = half**2 - abs(z * power) ** 2
     if half <= 0.0 or discriminant < 0.0:
-        raise ValueError(
+        raise SeqsweepError(
             f"no equilibrium: {power.real:g} + j{power.imag:g} pu cannot be carried by {source:g} pu behind "
             f"{z.real:g} + j{z.imag:g} pu; lower the power or the impedance"
         )

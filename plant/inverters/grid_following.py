@@ -13,7 +13,7 @@ from .parameters import FollowingParameters
 
 
 class GridFollowing(Inverter):
-    """``gfl-v1``: PLL, current control, and loops for P or the DC voltage and for Q or the AC voltage, by their weights."""
+    """``gfl-v1``: PLL, current control, and loops for P or v_dc and for Q or |v|, by their weights."""
 
     id = "gfl-v1"
     _defaults = FollowingParameters()

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..damping.control import compensation
+from ..errors import SeqsweepError
 from ..injection import check_source
 from ..lanes import set_complex
 from ..protocol import (
@@ -95,15 +96,15 @@ class Inverter(LaneDriven):
     ):
         self.parameters: Any = self._with(parameters)
         if not 0.0 < dt_s <= LONGEST_STEP_S:
-            raise ValueError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to {LONGEST_STEP_S:g} s")
+            raise SeqsweepError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to {LONGEST_STEP_S:g} s")
         if dc_source not in DC_SOURCES:
-            raise ValueError(f"dc_source is {dc_source!r}; {self.id} has {', '.join(map(repr, DC_SOURCES))}")
+            raise SeqsweepError(f"dc_source is {dc_source!r}; {self.id} has {', '.join(map(repr, DC_SOURCES))}")
         if not dc_resistance_pu > 0.0:
-            raise ValueError(f"dc_resistance_pu is {dc_resistance_pu:g}; a battery needs a resistance above 0")
+            raise SeqsweepError(f"dc_resistance_pu is {dc_resistance_pu:g}; a battery needs a resistance above 0")
         damping = (float(damping_gain), float(damping_r_ohm), float(damping_l_h), float(damping_resonance_hz))
         for (name, (low, high, unit)), value in zip(DAMPING_RANGES.items(), damping, strict=True):
             if not low <= value <= high:
-                raise ValueError(f"{name} is {value:g}{unit}; {self.id} takes {low:g} to {high:g}{unit}")
+                raise SeqsweepError(f"{name} is {value:g}{unit}; {self.id} takes {low:g} to {high:g}{unit}")
         self.compensation = compensation(*damping)
         self.dc_source, self.dc_resistance_pu = dc_source, float(dc_resistance_pu)
         self.dt_s = float(dt_s)
@@ -119,11 +120,11 @@ class Inverter(LaneDriven):
         unknown = sorted(set(parameters) - set(known))
         if unknown:
             others = (*DAMPING_RANGES, "dc_source", "dc_resistance_pu", *known)
-            raise ValueError(f"{cls.id} has no parameter {unknown[0]!r}; it has {', '.join(others)}")
+            raise SeqsweepError(f"{cls.id} has no parameter {unknown[0]!r}; it has {', '.join(others)}")
         p = cls._defaults._replace(**{name: float(value) for name, value in parameters.items()})
         for name in (*cls._must_be_positive, "u_rated_v", "s_rated_va", "w1_rad_s", "c_dc_s", "i_limit_pu"):
             if not getattr(p, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(p, name):g}; {cls.id} needs a value above 0")
+                raise SeqsweepError(f"{name} is {getattr(p, name):g}; {cls.id} needs a value above 0")
         return p
 
     _must_be_positive: ClassVar[tuple[str, ...]] = ("l_f_pu", "c_f_pu", "l_g_pu")
@@ -208,7 +209,8 @@ class Inverter(LaneDriven):
             where = "an ideal source" if state.source.kind == "ideal" else "this grid"
             raise NotSettled(
                 f"on {where} the equilibrium is unstable: {worst.real:+.3g} rad/s at "
-                f"{abs(worst.imag) / (2 * pi):.3g} Hz in the dq frame; settle {self.id} where it is stable: {self._friend}",
+                f"{abs(worst.imag) / (2 * pi):.3g} Hz in the dq frame; "
+                f"settle {self.id} where it is stable: {self._friend}",
                 status="diverged",
             )
         if not residual <= _RESIDUAL_LIMIT:
@@ -227,7 +229,7 @@ class Inverter(LaneDriven):
             return source.voltage_v / u
         try:
             return stationary.terminal_voltage(power, z, source.voltage_v / u)
-        except ValueError as error:
+        except SeqsweepError as error:
             raise NotSettled(str(error)) from None
 
     def _check_range(self, power: complex, voltage: float) -> None:
@@ -239,7 +241,7 @@ class Inverter(LaneDriven):
         )
         for name, value, (low, high), unit, symbol in named:
             if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
-                raise ValueError(
+                raise SeqsweepError(
                     f"{name} of {value / unit:g} {symbol} is outside the range of {self.id}: "
                     f"{low / unit:g} to {high / unit:g} {symbol}"
                 )

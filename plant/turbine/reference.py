@@ -152,7 +152,7 @@ class ReferenceTurbine:
         power_w, terminal_voltage_v = operating_point.active_power_w, self._terminal_voltage(operating_point, source)
         self._check_range(power_w, terminal_voltage_v)
         if operating_point.reactive_power_var != 0.0:
-            raise ValueError(
+            raise SeqsweepError(
                 f"reactive power of {operating_point.reactive_power_var / 1e6:g} Mvar was asked of {self.id}, "
                 "which has no set-point for it: leave reactive_power_mvar at 0"
             )
@@ -222,7 +222,7 @@ class ReferenceTurbine:
             return stationary.terminal_voltage_for_source(
                 self.parameters, operating_point.active_power_w, source.voltage_v, source.r_ohm, source.l_h
             )
-        except ValueError as error:
+        except SeqsweepError as error:
             raise NotSettled(str(error)) from None
 
     def _check_range(self, power_w: float, terminal_voltage_v: float) -> None:

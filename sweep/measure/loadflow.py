@@ -12,7 +12,7 @@ import numpy as np
 from ...identify.fourier import line
 from ...plant.protocol import Job, NotSettled, OperatingPoint, Plant, Source
 from ..excitation.frequencies import coherent_block
-from ..plan import Condition, Grid
+from ..plan import Condition, Grid, operating_point
 
 TOLERANCE = 1e-10
 """Mismatch of the source voltage accepted, relative."""
@@ -32,8 +32,9 @@ def reached(plant: Plant, source: Source, condition: Condition) -> tuple[Source,
     """
     if condition.grid is None:
         return source, operating_point(condition)
-    voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid)
-    return feeding(source, condition), OperatingPoint(condition.active_power_w, voltage_v)
+    q_var = condition.reactive_power_var
+    voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid, q_var)
+    return feeding(source, condition), OperatingPoint(condition.active_power_w, voltage_v, q_var)
 
 
 def feeding(source: Source, condition: Condition) -> Source:
@@ -43,7 +44,7 @@ def feeding(source: Source, condition: Condition) -> Source:
     return Source("thevenin", condition.grid.r_ohm, condition.grid.l_h)
 
 
-def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid) -> float:
+def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid, reactive_power_var: float = 0.0) -> float:
     """|v_pcc| (V, line-to-line RMS) at which the device is in equilibrium with ``grid``: the upper one.
 
     Secant steps from the top of the plant's range downwards.
@@ -57,7 +58,8 @@ def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid) -> float:
     z = grid.r_ohm + 2j * np.pi * plant.f1_hz * grid.l_h
 
     def excess(v: float) -> float:
-        return abs(v + z * _current(plant, active_power_w, v)) - grid.voltage_v
+        point = OperatingPoint(active_power_w, v, reactive_power_var)
+        return abs(v + z * _current(plant, point)) - grid.voltage_v
 
     before, now = min(high, 1.02 * grid.voltage_v), min(high, grid.voltage_v) * 0.999
     f_before, f_now = excess(before), excess(now)
@@ -78,9 +80,9 @@ def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid) -> float:
     )
 
 
-def _current(plant: Plant, active_power_w: float, voltage_v: float) -> complex:
+def _current(plant: Plant, point: OperatingPoint) -> complex:
     """Fundamental current (A, line-to-line-RMS convention, load direction), v_pcc at angle zero."""
-    state = plant.settle(OperatingPoint(active_power_w, voltage_v), Source())
+    state = plant.settle(point, Source())
     steps = coherent_block(plant.f1_hz, plant.dt_s).steps
     ((_, record),) = plant.run([Job(state, None)], steps)
     v, i = (line(x, plant.f1_hz, record.t0_s, record.dt_s) for x in (record.v, record.i))
