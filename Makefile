@@ -24,9 +24,10 @@ lint: $(READY)
 	$(BIN)/mypy
 	cd build/typed && ../../$(BIN)/lint-imports --no-cache --config ../../pyproject.toml
 
-# The heavy trials: they rewrite the figures in docs/.
+# The heavy trials: they rewrite the figures in docs/. The verdicts take a new seed every time.
 evidence: $(READY)
 	$(BIN)/python -m pytest -n 2 -m evidence
+	$(BIN)/python benchmarks/verdicts.py --tables 3500 --swept 0.6 --calibration 2000 --jobs 2 --write --check
 
 bench: $(READY)
 	$(BIN)/python benchmarks/run_all.py
