@@ -191,7 +191,7 @@ def _change(before: np.ndarray, after: np.ndarray) -> float:
     return change / size if size else np.inf
 
 
-def period_change(x: np.ndarray) -> float:
-    """Largest difference between the two halves of ``x``, relative to its peak."""
+def period_change(x: np.ndarray, least_peak: float = 0.0) -> float:
+    """Largest difference between the two halves of ``x``, relative to its peak, or to ``least_peak`` if more."""
     half = len(x) // 2
-    return float(np.max(np.abs(x[half:] - x[:half])) / np.max(np.abs(x)))
+    return float(np.max(np.abs(x[half:] - x[:half])) / max(np.max(np.abs(x)), least_peak))

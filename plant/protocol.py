@@ -89,6 +89,9 @@ class Source:
         Source voltage, line-to-line RMS (V). None: it follows from the operating point's |v_pcc|.
     angle_rad : float
         Angle of the source voltage's space vector at time zero (rad).
+    settle_on : (r_ohm, l_h) or None
+        A friendlier impedance (ohm, H), behind which a device that has to be waited for starts and from where it is
+        walked to this source; a device whose equilibrium is solved for does not need it.
     """
 
     kind: Literal["ideal", "thevenin"] = "ideal"
@@ -96,6 +99,7 @@ class Source:
     l_h: float = 0.0
     voltage_v: float | None = None
     angle_rad: float = 0.0
+    settle_on: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

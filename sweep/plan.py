@@ -26,7 +26,7 @@ from ..plant.protocol import (
     reactance_to_inductance,
 )
 from ..plant.registry import PlantCard, PlantSpec, card_of, runs_isolated
-from .config.sections import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SweepSection
+from .config.sections import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SourceSection, SweepSection
 from .excitation.adaptive_rounds import Adaptive, first_round
 from .excitation.choice import broadband
 from .excitation.frequencies import Block, Frequency, coherent_block, generated, listed
@@ -343,11 +343,7 @@ def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
     _check_range(conditions, card)
     voltage_like = config.injection.kind == "series_voltage"
     peak = card.rating.peak_voltage_v if voltage_like else card.rating.peak_current_a
-    source = Source(
-        config.source.kind,
-        config.source.r_ohm,
-        reactance_to_inductance(config.source.x_ohm, card.f1_hz),
-    )
+    source = _source(config.source, card.f1_hz)
     return Plan(
         spec=spec,
         plant_fingerprint=card.fingerprint,
@@ -424,6 +420,16 @@ def _adaptive(sweep: SweepSection) -> Adaptive | None:
     assert sweep.points is not None
     tolerance = sweep.interpolation_tolerance or DEFAULT_INTERPOLATION_TOLERANCE
     return Adaptive(sweep.f_min_hz, sweep.f_max_hz, sweep.points, tolerance)
+
+
+def _source(section: SourceSection, f1_hz: float) -> Source:
+    friend = section.settle_on
+    return Source(
+        section.kind,
+        section.r_ohm,
+        reactance_to_inductance(section.x_ohm, f1_hz),
+        settle_on=None if friend is None else (friend.r_ohm, reactance_to_inductance(friend.x_ohm, f1_hz)),
+    )
 
 
 def _condition(section: OperatingPointSection, plant: PlantCard) -> Condition:

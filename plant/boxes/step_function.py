@@ -36,14 +36,12 @@ import numpy as np
 from ..errors import SeqsweepError
 from ..injection import series_tones
 from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
+from ..states.behind_grid import settled_behind
 from ..states.steady_state import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
 from .box import Identity
 
 AGREEMENT = 1e-12
 """Mismatch of the grid's equation that is accepted, in parts of its largest terms."""
-
-VOLTAGE_REACHED = 1e-6
-"""How near |v_pcc| comes to what was asked behind a grid, relative."""
 
 MOST_TRIALS = 40
 
@@ -183,31 +181,20 @@ class StepPlant:
         return once(self._settled, (operating_point, source), settle)
 
     def _settle(self, point: OperatingPoint, source: Source, voltage_v: float) -> StepState:
-        if source.kind == "ideal" or source.voltage_v is not None:
-            return self._run_in(point, source, phase_peak(voltage_v, source.angle_rad))
-        angle = source.angle_rad  # the source's voltage follows from |v_pcc|: seen on an ideal source first
-        for _ in range(2):
-            alone = self._run_in(point, Source(), phase_peak(voltage_v, angle))
-            v_source = self._source_behind_grid(alone, source)
-            angle += source.angle_rad - float(np.angle(v_source))
-        return self._with_voltage(replace(alone, v_source=v_source, source=source), phase_peak(voltage_v))
+        if source.kind == "ideal":
+            return self.onwards(self.begun(point, source, phase_peak(voltage_v, source.angle_rad)))
+        return settled_behind(self, point, source)
 
-    def _with_voltage(self, state: StepState, peak_v: complex) -> StepState:
-        """Settle behind the grid, with the source's voltage such that |v_pcc| is ``peak_v``."""
-        for _ in range(MOST_TRIALS):
-            state = self._onwards(state)
-            excess = abs(self._fundamental(state)[0]) / abs(peak_v)
-            if abs(excess - 1.0) <= VOLTAGE_REACHED:
-                return state
-            state = replace(state, v_source=state.v_source / excess)
-        raise NotSettled(f"no source voltage brings |v_pcc| to {1.5**0.5 * abs(peak_v):g} V behind this grid")
-
-    def _run_in(self, point: OperatingPoint, source: Source, v_source: complex) -> StepState:
-        """The periodic state on a source of known voltage, from the initial state on."""
+    def begun(self, point: OperatingPoint, source: Source, v_source: complex) -> StepState:
+        """The initial state on a source of known voltage (V, phase peak, at time zero)."""
         device = self._initial_state(point) if callable(self._initial_state) else self._initial_state
-        return self._onwards(StepState(0, 0.0, device, 0j, v_source, v_source, source))
+        return StepState(0, 0.0, device, 0j, v_source, v_source, source)
 
-    def _onwards(self, state: StepState) -> StepState:
+    def put_behind(self, state: StepState, source: Source, v_source: complex) -> StepState:
+        """The same device behind another source."""
+        return replace(state, source=source, v_source=v_source)
+
+    def onwards(self, state: StepState) -> StepState:
         """Run on until a period repeats."""
 
         def run(first_step: int, n_steps: int) -> np.ndarray:
@@ -218,13 +205,11 @@ class StepPlant:
         until_periodic(run, self._clock, self._patience)
         return state
 
-    def _source_behind_grid(self, state: StepState, source: Source) -> complex:
-        """Source voltage at time zero at which the settled device sees the voltage it has now."""
-        v, i = self._fundamental(state)
-        mean = (1.0 + np.exp(2j * pi * self.f1_hz * self.dt_s)) / 2.0
-        return complex(v / mean + self._grid_impedance(source, self.f1_hz) * i)
+    def grid_impedance(self, source: Source) -> complex:
+        """Impedance of the stepped grid at f1 (ohm)."""
+        return self._grid_impedance(source, self.f1_hz)
 
-    def _fundamental(self, state: StepState) -> tuple[complex, complex]:
+    def fundamental(self, state: StepState) -> tuple[complex, complex]:
         """Phasors of v (V) and i (A) over the next period."""
         ((_, record),) = self.run([Job(state, None)], self._clock.period_steps)
         turns = np.exp(-2j * pi * self.f1_hz * record.time_s)

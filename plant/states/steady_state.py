@@ -1,7 +1,7 @@
 """A steady state found by waiting: a device is run until a period repeats, and that is certified.
 
-For devices that nobody can look into. What is certified is the change from one period to the next, in
-parts of the waveform's peak, twice in a row; it says nothing of modes slower than the patience.
+For devices that nobody can look into. What is certified is the change from one period to the next, in parts of the
+waveform's peak (at least `LEAST_PEAK_PU` of rated), twice in a row; it says nothing of modes slower than the patience.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from ..protocol import NotSettled, OperatingPoint, OperatingRange, Rating, Sourc
 
 K = TypeVar("K")
 V = TypeVar("V")
+
+LEAST_PEAK_PU = 0.01
+"""A smaller waveform is judged as if it had this peak: an idle device has a current of nothing but rounding."""
 
 LARGEST_PU = 1e3
 """A waveform beyond this many times the rated peak is not going to come back."""
@@ -95,7 +98,7 @@ def until_periodic(run: Callable[[int, int], np.ndarray], clock: Clock, patience
         now = run(k * n, n)
         if not np.all(np.abs(now) <= LARGEST_PU):
             raise NotSettled(f"the waveforms leave all bounds after {(k + 1) * n * clock.dt_s:.3g} s", "diverged")
-        peak = np.maximum(np.max(np.abs(now), axis=1), 1e-9)
+        peak = np.maximum(np.max(np.abs(now), axis=1), LEAST_PEAK_PU)
         residual = float(np.max(np.max(np.abs(now - turn * before), axis=1) / peak))
         agreed = agreed + 1 if residual <= patience.tolerance else 0
         if agreed == 2:

@@ -252,6 +252,8 @@ def _source(source: Mapping[str, Any], injection: Mapping[str, Any], points: Seq
     impedance = [key for key in ("r_ohm", "x_ohm") if _number(source.get(key))]
     if kind == "ideal":
         yield from _ideal(injection, impedance)
+        if source.get("settle_on") is not None:
+            yield Problem(("source", "settle_on"), 'given, but on an ideal source; needed: kind = "thevenin"')
     elif kind == "thevenin" and any(with_grid) and all(with_grid):
         for key in impedance:
             yield Problem(("source", key), "given beside the grid of every operating point; needed: only one of them")

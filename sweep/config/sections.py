@@ -132,12 +132,22 @@ class InjectionSection(_Section):
         return (self.amplitude_max_pu or AUTO_LIMIT_PU) if self.amplitude_pu == "auto" else self.amplitude_pu
 
 
+class FriendlyGrid(_Section):
+    """An impedance behind which a device settles that cannot be started cold where it is to be swept."""
+
+    r_ohm: NotNegative = Field(default=0.0, description="a number of at least 0, in ohm")
+    x_ohm: Positive = Field(description="a number above 0, in ohm at f1")
+
+
 class SourceSection(_Section):
     """What feeds the PCC; the reactance is that at f1."""
 
     kind: Literal["ideal", "thevenin"] = Field(default="ideal", description='"ideal" or "thevenin"')
     r_ohm: NotNegative = Field(default=0.0, description="a number of at least 0, in ohm")
     x_ohm: NotNegative = Field(default=0.0, description="a number above 0 for a thevenin source, in ohm at f1")
+    settle_on: FriendlyGrid | None = Field(
+        default=None, description="a table { r_ohm = 0.0, x_ohm = 0.1 }, the grid on which the device is settled first"
+    )
 
 
 class Config(_Section):

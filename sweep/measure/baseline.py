@@ -28,6 +28,9 @@ NOISY_BLOCKS = 48
 TREND_LIMIT = 6.0
 """A trend of so many standard errors is a drift: noise shows one in 1e8 cases."""
 
+LEAST_CURRENT_PU = 0.01
+"""A smaller current is judged as if it had this peak (pu): an idle device has none but rounding."""
+
 NOISE_LIMIT = 0.5
 """Beyond this scatter, relative to the peak, there is no waveform left to speak of."""
 
@@ -89,11 +92,12 @@ def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
     state = plant.settle(point, source)
     steps = plan.block.steps
     ((_, record),) = run(plant, [Job(state, None)], QUIET_BLOCKS * steps)
-    change = max(period_change(record.v), period_change(record.i))
+    least_a = LEAST_CURRENT_PU * plant.rating.peak_current_a
+    change = max(period_change(record.v), period_change(record.i, least_a))
     noisy = not change <= SETTLED_LIMIT
     if noisy:
         ((_, record),) = run(plant, [Job(state, None)], NOISY_BLOCKS * steps)
-        _refuse_drift(record, plan.block, change)
+        _refuse_drift(record, plan.block, change, least_a)
     v, i = (_mean_block(x, steps) if noisy else x[:steps] for x in (record.v, record.i))
     v1, i1 = (line(x, plan.f1_hz, record.t0_s, plan.dt_s) for x in (v, i))
     return Baseline(
@@ -110,14 +114,14 @@ def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
     )
 
 
-def _refuse_drift(record: Record, block: Block, change: float) -> None:
-    for x in (record.v, record.i):
+def _refuse_drift(record: Record, block: Block, change: float, least_a: float) -> None:
+    for x, least in ((record.v, 0.0), (record.i, least_a)):
         blocks = x.reshape(-1, block.steps)
         scatter = np.sqrt(np.mean(np.abs(blocks - blocks.mean(axis=0)) ** 2))
         fundamental = np.fft.fft(blocks, axis=1)[:, block.periods]
         moved, in_errors = trend(fundamental)
-        drifts = moved > SETTLED_LIMIT * np.abs(fundamental.mean()) and in_errors > TREND_LIMIT
-        if drifts or not scatter <= NOISE_LIMIT * np.max(np.abs(x)):
+        drifts = moved > SETTLED_LIMIT * max(np.abs(fundamental.mean()), least) and in_errors > TREND_LIMIT
+        if drifts or not scatter <= NOISE_LIMIT * max(np.max(np.abs(x)), least):
             raise Unsettled(
                 f"unperturbed waveforms change by {change:.2g} of their peak over one period; {SETTLED_LIMIT:g} is "
                 "needed, or noise about a steady mean"

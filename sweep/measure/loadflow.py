@@ -1,11 +1,13 @@
 """The operating point that belongs to a grid, found on the black box itself.
 
-The device is settled on ideal sources of trial voltages and its fundamental current is read at the
-terminals; the voltage is right where ``|v_pcc + Z_grid i| = |v_g|``. No look inside, and it works
-where the closed loop is unstable.
+Behind a Thevenin source the device is settled there, on a source of known voltage. On an ideal source it is settled at
+trial voltages and its fundamental current is read at the terminals; the voltage is right where
+``|v_pcc + Z_grid i| = |v_g|``. No look inside, and it works where the closed loop is unstable.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,15 +35,18 @@ def reached(plant: Plant, source: Source, condition: Condition) -> tuple[Source,
     if condition.grid is None:
         return source, operating_point(condition)
     q_var = condition.reactive_power_var
+    if source.kind == "thevenin":  # the device finds its own voltage there, and never stands on an ideal source
+        behind = replace(feeding(source, condition), voltage_v=condition.grid.voltage_v)
+        return behind, OperatingPoint(condition.active_power_w, None, q_var)
     voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid, q_var)
-    return feeding(source, condition), OperatingPoint(condition.active_power_w, voltage_v, q_var)
+    return source, OperatingPoint(condition.active_power_w, voltage_v, q_var)
 
 
 def feeding(source: Source, condition: Condition) -> Source:
     """The source that feeds the PCC at ``condition``: a Thevenin source of one with its own grid *is* that grid."""
     if source.kind == "ideal" or condition.grid is None:
         return source
-    return Source("thevenin", condition.grid.r_ohm, condition.grid.l_h)
+    return replace(source, r_ohm=condition.grid.r_ohm, l_h=condition.grid.l_h)
 
 
 def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid, reactive_power_var: float = 0.0) -> float:
