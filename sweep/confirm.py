@@ -19,10 +19,11 @@ from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard
+from ..tuning.crossings import bode_crossings, critical_crossing
 from ..tuning.gain import GainSearch, search_gain
 from ..tuning.result import PointTuning, TuningResult, confirmed
 from ..tuning.siso import Grid
-from ..tuning.stability import bode_crossings, critical_crossing, swept_band
+from ..tuning.verdict import swept_band
 from .config.sections import Config
 from .measure.linearity import judged
 from .measure.measure import measure

@@ -16,7 +16,7 @@ from ..plant.errors import SeqsweepError
 from .intervals import NORMAL_95, relative_error_of_y1
 from .result import PointTuning, TuningResult, with_doubt
 from .siso import Grid, Siso, siso
-from .stability import swept_band
+from .verdict import swept_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,9 +16,9 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
 from ..identify.frames import T_INVERSE, T, dq_to_pn
+from .crossings import Crossing
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
-from .stability import Crossing
 
 NORMAL_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""

@@ -13,9 +13,17 @@ from .siso import Grid, check_fundamental, impedance_dq
 RESONANCE_FROM_HZ = 5.0
 """Modes below this frequency in dq are slow modes, not resonances (Hz)."""
 
+RESONANCE_DAMPING = 2.0**-0.5
+"""Damping ratio from which on a mode has no peak and is no resonance."""
+
 BEYOND = 1.5
 """Poles further out than this multiple of the highest swept |f - f1| are not believed."""
 
+EDGE = 1.05
+"""A mode this far beyond the band's end still counts as swept."""
+
+_CARRIED = 0.05  # a mode so near to one of the device's own, in widths of that, does not show in the locus
+_KNOWN = 0.2  # a mode whose place is known no better than to this part of itself is none that the data carry
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
 
@@ -41,12 +49,16 @@ class ClosedLoop:
         Covariance of real and imaginary part ((rad/s)^2).
     beyond : (m,) bool
         Too far outside the swept band to be believed: only the fit's asymptotes speak there.
+    critical : int or None
+        Index of the resonance: the oscillating mode that the data carry with the largest real part, an unstable one
+        if there is one; None if there is none.
     """
 
     f1_hz: float
     poles: np.ndarray
     covariance: np.ndarray
     beyond: np.ndarray
+    critical: int | None
 
     @property
     def std(self) -> np.ndarray:
@@ -70,12 +82,6 @@ class ClosedLoop:
         return int(len(unstable) + np.sum(unstable.imag > 0.0))
 
     @property
-    def critical(self) -> int | None:
-        """Index of the resonance pole: largest real part among 5 Hz < Im/2pi < f1 - 1 Hz; None if there is none."""
-        among = np.flatnonzero((self.f_hz > RESONANCE_FROM_HZ) & (self.f_hz < self.f1_hz - 1.0))
-        return int(among[0]) if len(among) else None
-
-    @property
     def resonance_hz(self) -> tuple[float, float] | None:
         """The resonance pair f1 -+ |Im|/2pi in phase quantities (Hz)."""
         if self.critical is None:
@@ -95,7 +101,26 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     upper = poles[poles.imag >= 0.0]
     upper = upper[np.argsort(-upper.real)]
     covariance = np.array([_covariance(model, grid, p) for p in upper]).reshape(-1, 2, 2)
-    return ClosedLoop(model.f1_hz, upper, covariance, is_beyond(model, upper))
+    critical = _critical(model, upper, np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
+    return ClosedLoop(model.f1_hz, upper, covariance, is_beyond(model, upper), critical)
+
+
+def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray) -> int | None:
+    """Index of the oscillating mode that decays most slowly among those that the data carry.
+
+    Not carried are modes that share a place with one of the device's own, which then is uncontrollable from the
+    terminals and the same on every grid, modes whose place is hardly known, and those beyond the band. Slow modes are
+    listed by themselves; one that is unstable with nothing faster counts.
+    """
+    f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
+    apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
+    carried = (apart.min(axis=1, initial=np.inf) > _CARRIED) & (std < _KNOWN * np.abs(poles))
+    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & carried
+    if np.any((poles.real > 0.0) & ~is_beyond(model, poles) & carried):
+        within &= poles.real > 0.0
+    fast = within & (f_hz > RESONANCE_FROM_HZ)
+    among = np.flatnonzero(fast if np.any(fast) else within & (poles.real > 0.0))
+    return int(among[np.argmax(poles.real[among])]) if len(among) else None
 
 
 def is_beyond(model: RationalModel, poles: np.ndarray) -> np.ndarray:

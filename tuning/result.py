@@ -14,11 +14,12 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel
 from ..plant.errors import SeqsweepError
+from .crossings import Crossing
 from .gain import GainSearch
 from .intervals import NORMAL_95, Interval
 from .margins import LocusMargins, Participation
 from .siso import Grid
-from .stability import Crossing, Decision, Stability
+from .verdict import Decision, Stability
 
 FORMAT = "seqsweep-tuning"
 VERSION = "1.1.0"

@@ -14,13 +14,15 @@ from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError
+from .anchor import anchor_of
 from .gain import gain_for_margin, predicted_crossing
 from .grid_check import grid_warnings
 from .intervals import margin_interval, scale_interval
 from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
 from .result import PointTuning, TuningResult
+from .rows import rows_of
 from .siso import Grid, check_fundamental
-from .stability import Stability, judge, swept_band
+from .verdict import Stability, judge, swept_band
 
 if TYPE_CHECKING:
     from ..identify.table.read import Table
@@ -92,12 +94,15 @@ def tune_point(
     if usable < MIN_POINTS:
         reason = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
         return PointTuning(op_id, "undecided", reason, warnings=warnings)
-    model = fit_response(response)
+    rows = rows_of(to_dq(response))
+    anchor = anchor_of(response.meta, rows, response.f1_hz)
+    model = fit_response(response, n_unstable=anchor.n_unstable)
     misfit = relative_misfit(model, response)
     if misfit > _acceptable_misfit(response):
         reason = f"no rational model describes the table: its median misfit is {misfit:.1%}"
         return PointTuning(op_id, "undecided", reason, model=model, warnings=warnings)
-    return _judged(op_id, model, grid, margin, bases, (*warnings, *model.notes))
+    stability = judge(model, grid, rows, anchor)
+    return _judged(op_id, model, grid, stability, margin, bases, (*warnings, *model.notes))
 
 
 def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
@@ -108,9 +113,14 @@ def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
 
 
 def _judged(
-    op_id: str, model: RationalModel, grid: Grid, margin: float, bases: Mapping[str, Any], warnings: tuple[str, ...]
+    op_id: str,
+    model: RationalModel,
+    grid: Grid,
+    stability: Stability,
+    margin: float,
+    bases: Mapping[str, Any],
+    warnings: tuple[str, ...],
 ) -> PointTuning:
-    stability = judge(model, grid)
     loop = stability.closed_loop
     edge = critical_scale(model, grid)
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))

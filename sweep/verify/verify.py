@@ -214,7 +214,7 @@ def settings_of(tuned: Tuned) -> DampingSettings:
 def cause_gone_of(response: FrequencyResponse) -> CauseGone:
     """The check by which damping control stops: the winding number of the swept device on the grid of the moment."""
     from ...identify.fit.model import fit_response
-    from ...tuning.stability import judge
+    from ...tuning.verdict import judge
 
     model = fit_response(response)
 

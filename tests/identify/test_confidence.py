@@ -19,14 +19,15 @@ from seqsweep.identify.fit.rational import evaluate, evaluate_pn, gradient, row_
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.uncertainty import real_covariance, student_factor
 from seqsweep.plant.turbine.parameters import TABLE_I, TurbineParameters
+from seqsweep.tuning.crossings import bode_crossings, critical_crossing
 from seqsweep.tuning.intervals import Gain, Interval, interval_at, margin_interval, relative_error_of_y1, scale_interval
 from seqsweep.tuning.margins import critical_scale
 from seqsweep.tuning.poles import mode_weight
 from seqsweep.tuning.remedy import remedy
 from seqsweep.tuning.result import format_table, with_doubt
 from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, siso
-from seqsweep.tuning.stability import bode_crossings, critical_crossing, judge
 from seqsweep.tuning.tune import tune
+from seqsweep.tuning.verdict import judge
 
 from ..support import oracle
 from .test_fit import F1_HZ, F_HZ, U_V

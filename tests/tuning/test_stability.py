@@ -10,6 +10,7 @@ import pytest
 from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.fit.rational import evaluate
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.tuning.crossings import bode_crossings
 from seqsweep.tuning.margins import (
     critical_scale,
     critical_scr,
@@ -18,16 +19,10 @@ from seqsweep.tuning.margins import (
     passivity,
 )
 from seqsweep.tuning.poles import closed_loop, closed_loop_poles
+from seqsweep.tuning.probability import locus_distance
 from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, impedance_pn, parse_grid, siso, siso_of_response
-from seqsweep.tuning.stability import (
-    MAX_STEP_DEG,
-    Stability,
-    bode_crossings,
-    is_swept,
-    judge,
-    locus_distance,
-    wind,
-)
+from seqsweep.tuning.verdict import Stability, is_swept, judge
+from seqsweep.tuning.winding import MAX_STEP_DEG, wind
 
 from ..identify.test_fit import F1_HZ, F_HZ, T_PN, U_V, W1, circuit, turbine
 from ..support import oracle

@@ -1,0 +1,72 @@
+"""How sure the verdict is: the locus is normally distributed, and keeps so many standard errors from zero."""
+
+from __future__ import annotations
+
+from math import erfc, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.fit.rational import RationalModel, evaluate, spread
+from .poles import ClosedLoop
+from .siso import Grid
+from .winding import det
+
+DECIDED = 0.99
+"""Probability from which on a verdict is given."""
+
+DECIDED_AT = 2.326
+"""Standard errors that make it so."""
+
+
+class Doubt(NamedTuple):
+    """Probability of being stable, where in the dq frame (Hz) the doubt comes from, in how many standard errors."""
+
+    probability: float
+    nu_hz: float
+    distance: float
+
+
+def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray, stable: bool) -> Doubt:
+    """Probability of being stable, given that the locus of the fit says ``stable``.
+
+    A stable loop is in doubt wherever its locus may pass zero on the other side: the least distance counts. An
+    unstable one becomes stable only if the locus is wrong at every unstable mode: the surest mode counts.
+    """
+    nu = nu_hz[(nu_hz >= 0.0) & (nu_hz <= model.nu_hz[-1])]
+    distance = locus_distance(model, grid, nu)
+    if stable:
+        nearest = int(np.argmin(distance))
+        return Doubt(_normal(distance[nearest]), float(nu[nearest]), float(distance[nearest]))
+    unstable = loop.poles[(loop.poles.real > 0.0) & ~loop.beyond]
+    near = [np.abs(2.0 * np.pi * nu - p.imag) <= 3.0 * p.real for p in unstable]
+    nearest_ones = [int(np.argmin(np.where(a, distance, np.inf))) for a in near if np.any(a)]
+    surest = max(nearest_ones, key=lambda k: distance[k], default=int(np.argmin(distance)))
+    return Doubt(_normal(-distance[surest]), float(nu[surest]), float(distance[surest]))
+
+
+def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:
+    """How many standard errors (n,) the locus keeps from zero at frequencies |f - f1| (Hz): Mahalanobis distance.
+
+    By the delta method: det M moves by tr(adj(M) dM), M = 1 + Y Z. Near a lightly damped mode it is Re/std of its
+    pole, but unlike that it stays well defined where poles crowd and only their combinations are known.
+    """
+    s = 2j * np.pi * nu_hz
+    y, z = evaluate(model, s), grid.impedance_dq(s)
+    loop = np.eye(2) + y @ z
+    adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    by_device = spread(model, s, np.swapaxes(z @ adjugate, 1, 2))
+    by_grid = grid.spread_dq(s, np.swapaxes(adjugate @ y, 1, 2))
+    errors = np.concatenate([by_device, by_grid], axis=1)
+    real, imag = errors.real, errors.imag
+    value = det(loop)
+    rounding = 1e-18 * np.sum(np.abs(loop) ** 2, axis=(1, 2)) ** 2  # at nu = 0 the locus is real, and so is its spread
+    var_re, var_im = np.sum(real**2, axis=1) + rounding, np.sum(imag**2, axis=1) + rounding
+    across = np.sum(real * imag, axis=1)
+    squared = var_im * value.real**2 - 2.0 * across * value.real * value.imag + var_re * value.imag**2
+    return np.sqrt(np.maximum(squared, 0.0) / np.maximum(var_re * var_im - across**2, 1e-14 * var_re * var_im))
+
+
+def _normal(x: float) -> float:
+    """Standard normal distribution function."""
+    return 0.5 * erfc(-x / sqrt(2.0))

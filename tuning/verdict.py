@@ -1,0 +1,406 @@
+"""Stable, unstable or undecided: two judges who have to agree, and the reason where they do not.
+
+One counts the turns of det(1 + Y Z) from the rows themselves, relative to what the disturbed runs proved (`rows`). The
+other counts the closed-loop poles of the rational fit, whose own poles are held by the same proof (`poles`). How sure
+the fit is follows from its covariance (`probability`). The Bode criterion is shown beside them (`crossings`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
+from .anchor import Anchor
+from .crossings import Crossing, bode_crossings, critical_crossing
+from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop, closed_loop_poles, is_beyond
+from .probability import DECIDED, DECIDED_AT, Doubt, doubt
+from .remedy import remedy
+from .rows import Rows, difference, wind_rows
+from .siso import Grid, check_fundamental, impedance_pn
+from .winding import Winding, about, refine_locus, wind
+
+LIGHTLY_DAMPED = 0.05
+"""Damping ratio below which a mode must lie inside the swept band to be believed."""
+
+_GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
+_ACTIVE, _CLEARLY = 0.01, 0.3  # parts of Y that feed a wave: from the first on a device is not passive
+_TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
+_FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
+
+Decision = Literal["stable", "unstable", "undecided"]
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """The judgement of one operating point on one grid.
+
+    Attributes
+    ----------
+    verdict : "stable", "unstable" or "undecided"
+        By the winding number.
+    reason : str
+        Why, in one sentence.
+    probability : float
+        Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band.
+    winding : Winding
+        The locus.
+    n_open_loop_unstable : int
+        Right-half-plane poles of the device alone.
+    n_unstable_by_rows : int or None
+        Unstable modes of device and grid as the rows count them; None where they were not asked.
+    closed_loop : ClosedLoop
+        Poles of device and grid.
+    crossings : tuple of Crossing
+        Every 180-degree crossing inside the swept band, ascending in frequency.
+    critical : Crossing or None
+        Crossing of Y1 above f1 with the smallest m.
+    bode_stable : bool
+        What the plain Bode criterion says: no crossing with m < 1.
+    bode_note : str
+        Where and why it disagrees with the winding number; empty where it does not.
+    extrapolation : str
+        The part of the answer that rests on the fit outside the swept band.
+    """
+
+    verdict: Decision
+    reason: str
+    probability: float
+    winding: Winding
+    n_open_loop_unstable: int
+    n_unstable_by_rows: int | None
+    closed_loop: ClosedLoop
+    crossings: tuple[Crossing, ...]
+    critical: Crossing | None
+    bode_stable: bool
+    bode_note: str
+    extrapolation: str
+
+
+def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: Anchor | None = None) -> Stability:
+    """Verdict of a fitted device on a grid.
+
+    Parameters
+    ----------
+    model : RationalModel
+        The fit.
+    grid : Grid
+        The grid.
+    rows : Rows or None
+        The rows themselves, for the second judge; None: the fit alone is asked.
+    anchor : Anchor or None
+        What is proved of the device; None: the fit is believed about the device's own poles.
+
+    Raises
+    ------
+    SeqsweepError
+        If the fundamental of the model is not the grid's.
+    """
+    check_fundamental(model.f1_hz, grid)
+    loop = closed_loop(model, grid)
+    winding = wind(model, grid, loop)
+    stable = model.n_unstable == winding.number
+    crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
+    doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
+    by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model).number
+    verdict, reason = _decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows))
+    return Stability(
+        verdict=verdict,
+        reason=reason,
+        probability=doubtful.probability,
+        winding=winding,
+        n_open_loop_unstable=model.n_unstable,
+        n_unstable_by_rows=by_rows,
+        closed_loop=loop,
+        crossings=crossings,
+        critical=critical_crossing(crossings, model.f1_hz),
+        bode_stable=all(c.m >= 1.0 for c in crossings),
+        bode_note=_bode_note(model, grid, crossings, stable),
+        extrapolation=_extrapolation(model, winding),
+    )
+
+
+def _own_modes(model: RationalModel, anchor: Anchor | None) -> int:
+    """Unstable poles of the device alone: as proved, or where nothing is, as fitted."""
+    return model.n_unstable if anchor is None or anchor.n_unstable is None else anchor.n_unstable
+
+
+def swept_band(model: RationalModel) -> tuple[float, float]:
+    """Positive frequencies (Hz) the table answers for, mirror images included: f1 -+ the highest |f - f1|."""
+    highest = float(model.nu_hz[-1])
+    return max(model.f1_hz - highest, 1e-3 * model.f1_hz), model.f1_hz + highest
+
+
+# The Bode criterion beside it ---------------------------------------------------------------------------------------
+
+
+def _bode_note(model: RationalModel, grid: Grid, crossings: tuple[Crossing, ...], stable: bool) -> str:
+    alarms = [c for c in crossings if c.m < 1.0]
+    if stable and alarms:
+        text = ", ".join(f"Y{c.component} at {c.f_hz:.4g} Hz (m = {c.m:.2f})" for c in alarms)
+        own = _own_poles(model, grid)
+        return (
+            f"The Bode criterion alarms on {text}, the winding number does not, and it decides: below f1 an "
+            f"equivalent may have unstable poles of its own (here {own}, where 1 + Ynn Zg2 = 0), and then stability "
+            "asks for 180 degrees with |Y| > |Yg|."
+        )
+    if not stable and not alarms:
+        return (
+            "The Bode criterion finds no 180-degree crossing with |Y| > |Yg| inside the swept band, but the winding "
+            "number counts unstable closed-loop poles, and it decides."
+        )
+    return ""
+
+
+def _own_poles(model: RationalModel, grid: Grid) -> int:
+    """Right-half-plane poles of Y1, the zeros of 1 + Ynn Zg2; Y2, its mirror image, has as many."""
+    end = float(model.nu_hz[-1])
+
+    def first(nu_hz: np.ndarray) -> np.ndarray:
+        within = np.clip(nu_hz, -end, end)
+        f = within + model.f1_hz
+        gain = evaluate_pn(model, f)[:, 1, 1] * impedance_pn(grid, f)[1]
+        return 1.0 + gain * end / np.maximum(np.abs(nu_hz), end)
+
+    seeds = np.concatenate([about(model.poles), model.nu_hz, end * np.geomspace(1.0, 1e4, 25)])
+    nu = np.unique(np.concatenate([-seeds, [0.0], seeds]))
+    _, values = refine_locus(first, nu)
+    turns = float(np.sum(np.angle(np.append(values[1:], values[0]) / values))) / (2.0 * np.pi)
+    return model.n_unstable - round(turns)
+
+
+# The decision ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Everything a verdict may rest on."""
+
+    model: RationalModel
+    grid: Grid
+    loop: ClosedLoop
+    winding: Winding
+    doubt: Doubt
+    rows: Rows | None
+    anchor: Anchor | None
+    by_rows: int | None
+
+    @property
+    def stable(self) -> bool:
+        """What the fit says."""
+        return self.winding.number == self.model.n_unstable
+
+    @property
+    def turns(self) -> str:
+        """The count in words."""
+        return f"winding number {self.winding.number}, open-loop unstable poles {self.model.n_unstable}"
+
+
+def _decide(case: Case) -> tuple[Decision, str]:
+    objections = (_untraced, _unproved, _open_end, _judges_disagree, _swept_grid_denies, _improbable, _unswept)
+    for objection in objections:
+        reason = objection(case)
+        if reason:
+            return "undecided", reason
+    if case.stable:
+        return "stable", case.turns
+    return "unstable", f"{case.turns}; {_mode_text(case)}"
+
+
+def _untraced(case: Case) -> str:
+    return "" if case.winding.trusted else f"the locus could not be traced to the end ({case.turns})"
+
+
+def _unproved(case: Case) -> str:
+    """The count of the device's own unstable poles is what the fit made of it, or not what experiment says."""
+    model, anchor = case.model, case.anchor
+    if anchor is None:
+        return ""
+    if anchor.problem:
+        return anchor.problem
+    if anchor.n_unstable is None and model.n_unstable > 0:
+        return (
+            f"the fit has {model.n_unstable} unstable poles of the device's own, and nothing proves or excludes them: "
+            "the table does not say on which grid the device was stable. Say it: --stable-on ideal, or --stable-on "
+            "R+jX for the grid it was measured on"
+        )
+    if anchor.n_unstable is not None and model.n_unstable != anchor.n_unstable:
+        return (
+            f"the device was stable on {anchor.where}, which takes {anchor.n_unstable} unstable poles of its own, and "
+            f"the fit finds {model.n_unstable}: sweep more points"
+        )
+    return ""
+
+
+def _open_end(case: Case) -> str:
+    """Above the band a loop that is active and whose gain is above one may do anything."""
+    if not case.stable:
+        return ""
+    end = case.model.nu_hz[-1]
+    if _active_at_end(case.model, case.grid):
+        return (
+            f"the sweep ends at |f - f1| = {end:.4g} Hz, where the device is still active and the loop gain above one: "
+            "sweep to higher frequencies"
+        )
+    mode = _mode_above(case)
+    return "" if mode is None else f"a mode at {mode}, above the swept band, may be unstable: sweep there"
+
+
+def _mode_above(case: Case) -> str | None:
+    """A mode that the fit sees above the band and that decides: surely unstable, or near to it if the device is active.
+
+    A device clearly active at the band's end feeds what is just above it.
+    """
+    model, loop = case.model, case.loop
+    above = (loop.f_hz > EDGE * model.nu_hz[-1]) & (np.abs(loop.poles) < _FAR * 2.0 * np.pi * model.nu_hz[-1])
+    doubtful = loop.poles.real > 3.0 * loop.std.real
+    if _activity_at_end(model) > _CLEARLY:
+        doubtful |= (loop.damping < RESONANCE_DAMPING) & ~loop.beyond
+    found = np.flatnonzero(above & doubtful)
+    return _place(model, float(loop.f_hz[found[0]])) if len(found) else None
+
+
+def _judges_disagree(case: Case) -> str:
+    """Poles, locus and rows have to count the same unstable modes."""
+    by_poles, by_locus = case.loop.n_unstable, case.model.n_unstable - case.winding.number
+    if by_poles != by_locus:
+        return f"locus and poles disagree ({case.turns}, {by_poles} unstable closed-loop poles)"
+    if case.rows is None or case.by_rows is None or case.by_rows == by_poles:
+        return ""
+    at = difference(case.rows, case.model, case.grid)
+    if at.in_noise:
+        return ""
+    return (
+        f"the rows, followed from one to the next, count {case.by_rows} unstable modes, the fit {by_poles}; they "
+        f"differ most near {_place(case.model, at.nu_hz)}: measure more points there"
+    )
+
+
+def _swept_grid_denies(case: Case) -> str:
+    """On the grid the table was swept on the fit has to be as stable as the device was seen to be."""
+    if case.anchor is None or case.anchor.grid is None:
+        return ""
+    poles = closed_loop_poles(case.model, case.anchor.grid)
+    unstable = poles[(poles.real > 0.0) & ~is_beyond(case.model, poles)]
+    if len(unstable) == 0:
+        return ""
+    worst = unstable[np.argmax(unstable.real)]
+    return (
+        f"the fit is unstable on {case.anchor.where}, where the device was seen to be stable, near "
+        f"{_place(case.model, abs(worst.imag) / (2.0 * np.pi))}: measure more points there"
+    )
+
+
+def _improbable(case: Case) -> str:
+    """Too near the edge for what is known of Y."""
+    at = case.doubt
+    if not 1.0 - DECIDED < at.probability < DECIDED:
+        return ""
+    return (
+        f"the loop is stable with a probability of {at.probability:.1%}; what is missing are more or better points "
+        f"near {_place(case.model, at.nu_hz)}: {_advice(case)}"
+    )
+
+
+def _unswept(case: Case) -> str:
+    """Modes that decide need rows around them."""
+    loop, decisive = case.loop, _decisive(case)
+    unseen = [k for k in decisive if not is_swept(case.model, complex(loop.poles[k]))]
+    if not unseen or (not case.stable and len(unseen) < len(decisive)):
+        return ""
+    return (
+        f"a mode at {_place(case.model, float(loop.f_hz[unseen[0]]))} decides, and the table has no usable rows around "
+        "it: sweep there"
+    )
+
+
+def _mode_text(case: Case) -> str:
+    """The unstable mode that grows fastest, in words."""
+    loop = case.loop
+    unstable = [k for k in _decisive(case) if is_swept(case.model, complex(loop.poles[k]))]
+    pole = complex(loop.poles[unstable[0]])
+    if pole.imag == 0.0:
+        return f"an aperiodic mode grows at {pole.real:+.3g} rad/s"
+    place = _place(case.model, float(loop.f_hz[unstable[0]]))
+    return f"the mode at {place} grows at {pole.real:+.3g} rad/s (damping {loop.damping[unstable[0]]:.1%})"
+
+
+def _advice(case: Case) -> str:
+    """Which rows, and how many times the periods, would bring the locus as far from zero as a verdict asks."""
+    model, poles = case.model, case.loop.poles
+    nearest = complex(poles[np.argmin(np.abs(poles - 2j * np.pi * case.doubt.nu_hz))])
+    found = remedy(model, case.grid, nearest, (case.doubt.distance / DECIDED_AT) ** 2)
+    if found is None:
+        return "the loop is so close to the edge that no affordable number of periods decides"
+    low, high = (model.f1_hz + nu for nu in found.nu_hz)
+    where = f"{low:.4g} to {high:.4g} Hz" if high > low else f"{low:.4g} Hz"
+    return f"about {found.times} times the periods at {where} (mirror images count) would decide"
+
+
+def _place(model: RationalModel, nu_hz: float) -> str:
+    """A frequency of the dq frame as the pair seen in phase quantities."""
+    if nu_hz < model.nu_hz[0]:
+        return f"f1 (|f - f1| below {model.nu_hz[0]:.2g} Hz)"
+    return f"{model.f1_hz - nu_hz:.4g}/{model.f1_hz + nu_hz:.4g} Hz"
+
+
+def _decisive(case: Case) -> list[int]:
+    """Modes the verdict hangs on: the unstable ones, or the resonance and everything lightly damped."""
+    loop = case.loop
+    if not case.stable:
+        return [int(k) for k in np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)]
+    within = loop.f_hz < EDGE * case.model.nu_hz[-1]
+    light = np.flatnonzero((loop.damping < LIGHTLY_DAMPED) & within).tolist()
+    return sorted({*light, *([] if loop.critical is None else [loop.critical])})
+
+
+def is_swept(model: RationalModel, pole: complex) -> bool:
+    """Whether usable rows are as close to a mode (rad/s, dq) as their ratio or the mode's width asks.
+
+    The rows nearest to f1 have their mirror images on the other side: a slow or aperiodic mode between them is swept
+    where it is as wide as its distance from them.
+    """
+    nu, width = abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
+    swept = model.nu_hz
+    if nu < swept[0] / EDGE:
+        return bool(swept[0] - nu <= width)
+    if nu > swept[-1] * EDGE:
+        return False
+    above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
+    return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
+
+
+def _active_at_end(model: RationalModel, grid: Grid) -> bool:
+    """Whether the device may still bring a loop to oscillate above the swept band: not passive, gain above one.
+
+    Unless the loop gain turns so slowly, as by the delay of half a step, that -1 is many times the band away.
+    """
+    end = float(model.nu_hz[-1])
+    s = 2j * np.pi * end * np.array([1.0 / _TREND, 1.0])
+    before, gains = np.linalg.eigvals(evaluate(model, s) @ grid.impedance_dq(s))
+    turning = any(_reaches_minus_one(gain, before) for gain in gains if abs(gain) > 1.0)
+    return bool(turning and _activity_at_end(model) > _ACTIVE)
+
+
+def _activity_at_end(model: RationalModel) -> float:
+    """Part of Y at the band's end that feeds a wave: minus the least eigenvalue of the Hermitian part."""
+    y = evaluate(model, 2j * np.pi * model.nu_hz[-1:])[0]
+    return float(-np.linalg.eigvalsh((y + y.conj().T) / 2.0)[0] / np.linalg.norm(y))
+
+
+def _reaches_minus_one(gain: complex, before: np.ndarray) -> bool:
+    """Whether a loop gain turning on as it did since `_TREND` times lower frequency comes to -1 within `_FAR` bands."""
+    earlier = before[np.argmin(np.abs(before - gain))]
+    turn = np.angle(gain / earlier) * np.sign(np.angle(gain))  # towards -1 where positive, in 1 - 1/_TREND of the band
+    left = np.pi - abs(np.angle(gain))
+    return bool(left < np.pi / 4.0 or turn / (1.0 - 1.0 / _TREND) * (_FAR - 1.0) > left)
+
+
+def _extrapolation(model: RationalModel, winding: Winding) -> str:
+    return (
+        f"Swept: |f - f1| from {model.nu_hz[0]:.3g} to {model.nu_hz[-1]:.4g} Hz. Below, the answer rests on the fit: "
+        f"the locus turns {winding.inside_deg:+.0f} degrees there. Above, the loop gain is let fall off: the locus "
+        f"turns {winding.beyond_deg:+.0f} degrees above until the ends meet."
+    )

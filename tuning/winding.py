@@ -1,0 +1,147 @@
+"""The locus of det(1 + Y Z) over the dq axis, and how often it winds about zero.
+
+Beyond the swept band nothing is known, so nothing is extrapolated: the loop gain is let fall off, Y Z / r for the
+frequency r times the band's end. No eigenvalue of Y Z then passes -1 beyond the band, the ends meet at one, and the
+number of turns is that of the swept band alone. Where the device is active and the loop gain above one at the band's
+end, that is no answer, and `verdict` says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..identify.fit.rational import RationalModel, evaluate
+from .poles import ClosedLoop
+from .siso import Grid
+
+MAX_STEP_DEG = 30.0
+"""A locus is refined until no step turns further than this."""
+
+_MAX_POINTS = 20000
+_FALL = np.geomspace(1.0, 1e4, 25)[1:]  # how many times the band's end the locus is followed while the gain falls off
+
+Locus = Callable[[np.ndarray], np.ndarray]
+Admittance = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, slots=True)
+class Winding:
+    """The locus and what it did.
+
+    Attributes
+    ----------
+    number : int
+        Counter-clockwise turns about zero.
+    nu_hz : (n,) float
+        Frequencies in the dq frame (Hz), refined; symmetric.
+    locus : (n,) complex
+        det(1 + Y Z), the grid's own poles on the axis taken out.
+    largest_step_deg : float
+        Largest turn between neighbours (degrees).
+    beyond_deg, inside_deg : float
+        Turn above the highest and below the lowest swept |f - f1|, positive-frequency half (degrees).
+    """
+
+    number: int
+    nu_hz: np.ndarray
+    locus: np.ndarray
+    largest_step_deg: float
+    beyond_deg: float
+    inside_deg: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the refinement came to its end."""
+        return self.largest_step_deg <= MAX_STEP_DEG
+
+
+def wind(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> Winding:
+    """Winding of det(1 + Y Z) of a fitted device about zero; ``loop`` tells where to look closely."""
+    poles = np.concatenate([model.poles, [] if loop is None else loop.poles])
+    swept = (float(model.nu_hz[0]), float(model.nu_hz[-1]))
+    seeds = np.concatenate([np.geomspace(1e-3, swept[1], 80), about(poles), model.nu_hz])
+    return wound(lambda nu: evaluate(model, 2j * np.pi * nu), grid, swept, seeds)
+
+
+def wound(admittance: Admittance, grid: Grid, swept_hz: tuple[float, float], seeds_hz: np.ndarray) -> Winding:
+    """Winding of det(1 + Y Z) about zero.
+
+    Parameters
+    ----------
+    admittance : callable
+        |f - f1| (n,) in Hz, from zero to the end of the band, to Ydq (n, 2, 2) in S.
+    grid : Grid
+        The grid.
+    swept_hz : (float, float)
+        Lowest and highest swept |f - f1| (Hz).
+    seeds_hz : (n,) float
+        Where the locus is looked at first, besides the grid's own modes (Hz); it is refined from there.
+
+    Notes
+    -----
+    Device and grid are real systems in the dq frame: the half of negative frequency is the conjugate of the other.
+    """
+    end = swept_hz[1]
+    w1 = grid.f1_hz * np.array([0.98, 1.0, 1.02])  # where an inductive grid is smallest
+    seeds = np.concatenate([seeds_hz, about(grid.modes), w1])
+    inside = np.unique(np.concatenate([[0.0, end], seeds[(seeds > 0.0) & (seeds < end)]]))
+    nu, values = refine_locus(closed_locus(admittance, grid, end), np.concatenate([inside, end * _FALL]))
+    steps = np.angle(values[1:] / values[:-1])
+    middle = (nu[1:] + nu[:-1]) / 2.0
+    return Winding(
+        number=round(float(np.sum(steps)) / np.pi),
+        nu_hz=np.concatenate([-nu[:0:-1], nu]),
+        locus=np.concatenate([values[:0:-1].conj(), values]),
+        largest_step_deg=float(np.degrees(np.abs(steps).max())),
+        beyond_deg=float(np.degrees(np.sum(steps[middle > end]))),
+        inside_deg=float(np.degrees(np.sum(steps[middle < swept_hz[0]]))),
+    )
+
+
+def about(poles: np.ndarray) -> np.ndarray:
+    """Frequencies |f - f1| (Hz) around every pole (rad/s), as close as it is wide."""
+    width = np.abs(poles.real)[:, None] * np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])
+    return np.abs(poles.imag[:, None] + width).ravel() / (2.0 * np.pi)
+
+
+def closed_locus(admittance: Admittance, grid: Grid, end_hz: float) -> Locus:
+    """det(1 + Y Z), cleared of the grid's poles, for |f - f1| from zero on (Hz); the gain falls off beyond the end."""
+    s_end = np.array([2j * np.pi * end_hz])
+    clearing_end = complex(grid.clearing(s_end)[0])
+    log_end = np.log(abs(clearing_end)) + 1j * grid.clearing_angle(complex(s_end[0]))
+
+    def locus(nu_hz: np.ndarray) -> np.ndarray:
+        part = np.minimum(end_hz / np.maximum(nu_hz, 1e-300), 1.0)
+        within = np.minimum(nu_hz, end_hz)
+        s = 2j * np.pi * within
+        clearing = np.where(nu_hz > end_hz, np.exp(part * log_end), grid.clearing(s))
+        return clearing * det(np.eye(2) + part[:, None, None] * (admittance(within) @ grid.impedance_dq(s)))
+
+    return locus
+
+
+def refine_locus(function: Locus, nu_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Add points until no step of ``function`` turns by more than 30 degrees, or it is hopeless."""
+    values = function(nu_hz)
+    while len(nu_hz) < _MAX_POINTS:
+        wide = np.flatnonzero(np.abs(np.angle(values[1:] / values[:-1])) > np.radians(0.95 * MAX_STEP_DEG))
+        wide = wide[np.diff(nu_hz)[wide] > 1e-12 * np.maximum(1.0, np.abs(nu_hz[wide]))]
+        if len(wide) == 0:
+            break
+        middle = _middle(nu_hz[wide], nu_hz[wide + 1])
+        values = np.insert(values, wide + 1, function(middle))
+        nu_hz = np.insert(nu_hz, wide + 1, middle)
+    return nu_hz, values
+
+
+def _middle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Geometric mean of an interval far from zero, arithmetic mean of any other."""
+    return np.where((low > 0.0) & (high > 4.0 * low), np.sqrt(np.abs(low * high)), (low + high) / 2.0)
+
+
+def det(matrices: np.ndarray) -> np.ndarray:
+    """Determinants (n,) of (n, 2, 2)."""
+    return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
