@@ -14,7 +14,6 @@ import numpy as np
 from ..plant.errors import SeqsweepError
 from .crossings import Admittance, Crossing, bode_crossings, critical_crossing
 from .siso import Grid, own_impedance
-from .siso import Grid, own_impedance
 
 K_MAX = 2.0
 """Largest gain the search tries."""

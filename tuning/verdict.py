@@ -19,7 +19,7 @@ from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop, closed_loop
 from .probability import DECIDED, DECIDED_AT, Doubt, doubt
 from .remedy import remedy
 from .rows import Rows, difference, wind_rows
-from .siso import Grid, check_fundamental, impedance_pn
+from .siso import Grid, check_fundamental, siso
 from .winding import Winding, about, refine_locus, wind
 
 LIGHTLY_DAMPED = 0.05
@@ -161,7 +161,8 @@ def _own_poles(model: RationalModel, grid: Grid) -> int:
     def first(nu_hz: np.ndarray) -> np.ndarray:
         within = np.clip(nu_hz, -end, end)
         f = within + model.f1_hz
-        gain = evaluate_pn(model, f)[:, 1, 1] * impedance_pn(grid, f)[1]
+        y = evaluate_pn(model, f)
+        gain = y[:, 1, 1] / siso(f, y, grid).yg2
         return 1.0 + gain * end / np.maximum(np.abs(nu_hz), end)
 
     seeds = np.concatenate([about(model.poles), model.nu_hz, end * np.geomspace(1.0, 1e4, 25)])

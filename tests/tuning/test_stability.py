@@ -219,14 +219,15 @@ def test_locus_turns_less_than_30_degrees_per_step_and_counts_whole_turns() -> N
     assert np.all(np.diff(winding.nu_hz) > 0.0)
 
 
-def test_locus_is_the_determinant_of_one_plus_y_z() -> None:
-    """Y ends in a constant and Z in s L, so that it grows with s^2, which a stable factor takes out."""
+def test_locus_is_the_determinant_of_one_plus_y_z_in_the_band_and_ends_at_one() -> None:
     at = case(1.2)
     model = fit_response(turbine(P_W, at.voltage_v))
     winding = wind(model, at.grid)
-    s = 2j * np.pi * winding.nu_hz
+    within = np.abs(winding.nu_hz) <= model.nu_hz[-1]
+    s = 2j * np.pi * winding.nu_hz[within]
     determinant = np.linalg.det(np.eye(2) + evaluate(model, s) @ impedance_dq(at.grid, s))
-    np.testing.assert_allclose(winding.locus * (1.0 + s / W1) ** 2, determinant, rtol=1e-6)
+    np.testing.assert_allclose(winding.locus[within], determinant, rtol=1e-9)
+    np.testing.assert_allclose(winding.locus[[0, -1]], 1.0, atol=1e-2)  # a ten-thousandth of the gain is left
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.2, 1.4, 1.6])
@@ -343,11 +344,9 @@ def test_asymptotes_of_a_noisy_constant_do_not_decide() -> None:
     """A branch with a negative constant of a thousandth: far outside the band the fit alone would oscillate."""
     model = fit_response(circuit(lambda s: 1.0 / (0.5 + s * 1e-3) - 1e-3))
     stability = judge(model, LINE)
-    assert stability.winding.number == -2
-    assert stability.winding.number_shortest == 0
+    assert stability.winding.number == 0
     assert np.any(stability.closed_loop.beyond & (stability.closed_loop.poles.real > 0.0))
     assert stability.verdict == "stable"
-    assert "asymptotes" in stability.extrapolation
 
 
 # Margins -------------------------------------------------------------------------------------------------------------

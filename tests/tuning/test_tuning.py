@@ -98,9 +98,18 @@ def test_only_the_chosen_operating_points_are_tuned() -> None:
 
 
 def test_instability_the_formula_does_not_see_is_warned_about() -> None:
-    point = tune_point(circuit(lambda s: 1.0 / (-0.05 + s * 1e-3)), GRID)
+    """Stable behind 0.1 ohm, unstable by itself: on the grid of this test its negative resistance is too large."""
+    response = circuit(lambda s: 1.0 / (-0.05 + s * 1e-3))
+    stated = {"stable_on": {"grid": {"r_ohm": 0.1, "x_ohm": 0.25}, "basis": "stated"}}
+    point = tune_point(replace(response, meta={**response.meta, **stated}), GRID)
     assert point.verdict == "unstable"
     assert any("the formula for k does not see it" in w for w in point.warnings)
+
+
+def test_own_instability_that_nothing_proves_is_undecided_and_the_option_named() -> None:
+    point = tune_point(circuit(lambda s: 1.0 / (-0.05 + s * 1e-3)), GRID)
+    assert point.verdict == "undecided"
+    assert "--stable-on" in point.reason
 
 
 @pytest.mark.parametrize("text", ["0.012+0.25j", "0.012 + j0.25", "0.012+J0.25", "0.012+0.25i", "12e-3+j2.5e-1"])
