@@ -43,7 +43,7 @@ $(READY): pyproject.toml constraints.txt
 	  { echo "$(PYTHON) cannot make environments: run 'apt-get install python3-venv' (as root), then again" >&2; exit 1; }
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,dask,fmu,exchange,formats]' -c constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,dask,fmu,exchange,excel,formats]' -c constraints.txt
 	@touch $@
 
 clean:

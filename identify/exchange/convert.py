@@ -9,13 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from ..frames import to_frame
+from ..frames import dq_to_pn, pn_to_dq, to_frame
 from ..operating_state import stated
 from ..response import Frame, FrequencyResponse
 from ..table.format import CARRIED, TableError, complete_metadata
 from ..table.rules import metadata_violations, row_violations
 from ..table.write import rows_of
 from .facts import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
+
+MIRRORED = 1e-2
+"""Part of Y by which a row and that of its mirror may differ."""
+
+NEAR_F1_HZ = 3.0
+"""So near f1 a controlled device holds its power."""
+
+CONSTANT_POWER = 0.3
+"""How near -1 Ydd V^2 / P must be to mean the other direction."""
 
 # In
 
@@ -77,13 +86,20 @@ def _response(sheet: Sheet, point: dict[str, Any], facts: Facts, path: str | Pat
         y = -y
     if frame == "dq" and facts.get("q_axis", "leading") == "lagging":
         y = y * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    _check_frequencies(sheet.f_hz, frame, f1_hz, where)
+    _check_ascending(sheet.f_hz, where)
+    f_hz = sheet.f_hz
+    if frame == "dq":
+        f_hz, y = f_hz + f1_hz, dq_to_pn(y)
+    if sheet.status is None:
+        f_hz, y = one_sided(f_hz, y, f1_hz, where)
+    _check_frequencies(f_hz, frame, f1_hz, where)
+    _check_direction(f_hz, y, point, facts, where)
     try:
-        response = FrequencyResponse(
-            f_hz=sheet.f_hz,
+        return FrequencyResponse(
+            f_hz=f_hz,
             y=y,
             f1_hz=f1_hz,
-            frame=frame,
+            frame="pn",
             status=sheet.status,
             reason=sheet.reason,
             quality=sheet.quality,
@@ -91,7 +107,6 @@ def _response(sheet: Sheet, point: dict[str, Any], facts: Facts, path: str | Pat
         )
     except ValueError as error:
         raise ExchangeError(f"{where}: {error}") from None
-    return to_frame(response, "pn")
 
 
 def _check_values(sheet: Sheet, where: str) -> None:
@@ -119,22 +134,86 @@ def _admittance(matrix: np.ndarray, facts: Facts, path: str | Path, where: str) 
         raise ExchangeError(f"{where}: an impedance matrix is singular: it has no admittance") from None
 
 
-def _check_frequencies(f_hz: np.ndarray, frame: Frame, f1_hz: float, where: str) -> None:
-    """Refuse what the table has no row for."""
+def _check_ascending(f_hz: np.ndarray, where: str) -> None:
     steps = np.diff(f_hz)
     if np.any(steps == 0.0):
         raise ExchangeError(f"{where}: {f_hz[1:][steps == 0.0][0]:g} Hz is there twice")
     if np.any(steps < 0.0):
         k = int(np.argmax(steps < 0.0))
         raise ExchangeError(f"{where}: {f_hz[k + 1]:g} Hz follows {f_hz[k]:g} Hz; needed: ascending frequencies")
-    f_pn = f_hz + f1_hz if frame == "dq" else f_hz
-    also = f" ({frame} frame: {f_hz[0]:g} Hz)" if frame == "dq" else ""
-    if f_pn[0] <= 0.0:
-        raise ExchangeError(f"{where}: {f_pn[0]:g} Hz in the pn frame{also}; a table holds frequencies above 0")
-    at_f1 = np.abs(f_pn - f1_hz) <= 1e-9 * f1_hz
+
+
+def one_sided(f_hz: np.ndarray, y: np.ndarray, f1_hz: float, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies above 0 (Hz) and admittances (n, 2, 2) in the pn frame; what lies below 0 stands at its mirror.
+
+    A real device has ``Y(2 f1 - f) = P conj(Y(f)) P`` with ``P = [[0, 1], [1, 0]]``: the second row and column of the
+    matrix at f are the first ones at the mirror.
+
+    Raises
+    ------
+    ExchangeError
+        If a row below 0 and one at its mirror contradict each other.
+    """
+    below = f_hz < 0.0
+    if not np.any(below):
+        return f_hz, y
+    mirrors, turned = 2.0 * f1_hz - f_hz[below], np.conj(y[below])[:, ::-1, ::-1]
+    own = f_hz[~below]
+    new = np.ones(len(mirrors), dtype=bool)
+    for k, mirror in enumerate(mirrors):
+        twins = np.flatnonzero(np.abs(own - mirror) <= 1e-9 * mirror)
+        for twin in twins:
+            new[k] = False
+            other = y[~below][twin]
+            part = np.linalg.norm(turned[k] - other) / np.linalg.norm(other)
+            if not part <= MIRRORED:
+                raise ExchangeError(
+                    f"{where}: the rows of {f_hz[below][k]:g} Hz and of its mirror {mirror:g} Hz contradict each "
+                    f"other, by {part:.2g} of Y: a two-sided table in the pn frame has Y(2 f1 - f) = P conj(Y(f)) P; "
+                    "remove the rows below 0 Hz if they mean something else"
+                )
+    f_all, y_all = np.concatenate([own, mirrors[new]]), np.concatenate([y[~below], turned[new]])
+    order = np.argsort(f_all)
+    return f_all[order], y_all[order]
+
+
+def _check_frequencies(f_hz: np.ndarray, frame: Frame, f1_hz: float, where: str) -> None:
+    """Refuse what the table has no row for; ``f_hz`` in the pn frame."""
+    also = f" ({frame} frame: {f_hz[0] - f1_hz:g} Hz)" if frame == "dq" else ""
+    if f_hz[0] <= 0.0:
+        raise ExchangeError(f"{where}: {f_hz[0]:g} Hz in the pn frame{also}; a table holds frequencies above 0")
+    at_f1 = np.abs(f_hz - f1_hz) <= 1e-9 * f1_hz
     if np.any(at_f1):
         row = f"0 Hz in the dq frame is f1 = {f1_hz:g} Hz itself" if frame == "dq" else f"{f1_hz:g} Hz is f1 itself"
         raise ExchangeError(f"{where}: {row}, where there is no admittance: remove the row")
+
+
+def _check_direction(f_hz: np.ndarray, y: np.ndarray, point: Mapping[str, Any], facts: Facts, where: str) -> None:
+    """Refuse a direction that the known power contradicts.
+
+    A generator that holds its power has Ydd = P / V^2 where f goes to f1 (dq frame, into the device): more voltage,
+    less current. The negative of that is a generator with the current counted the other way.
+    """
+    power_w, voltage_pu = (_known(point.get(key)) for key in ("active_power_mw", "terminal_voltage_pu"))
+    power_w *= 1e6
+    nearest = int(np.argmin(np.abs(f_hz - float(facts["f1_hz"]))))
+    if not power_w > 0.0 or abs(f_hz[nearest] - float(facts["f1_hz"])) > NEAR_F1_HZ:
+        return
+    voltage_v = float(facts["rated_voltage_v"]) * (voltage_pu or 1.0)
+    seen = pn_to_dq(y[nearest])[0, 0] * voltage_v**2 / power_w
+    if abs(seen + 1.0) < CONSTANT_POWER:
+        other = {"load": "generator", "generator": "load"}[facts["direction"]]
+        away_hz = f_hz[nearest] - float(facts["f1_hz"])
+        raise ExchangeError(
+            f"{where}: at {away_hz:+.3g} Hz from f1 Ydd is {seen.real:.3g} P / V^2 when the current counts as "
+            f"--direction {facts['direction']} says; a generator of {power_w / 1e6:g} MW that holds its power has +1: "
+            f"--direction {other}, most likely (or leave --active-power-mw out)"
+        )
+
+
+def _known(value: Any) -> float:
+    """A number of the metadata; 0 where it is not known, or is none."""
+    return float(value) if isinstance(value, int | float) else 0.0
 
 
 # Out

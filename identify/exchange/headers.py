@@ -22,7 +22,7 @@ _PARTS = {
     **dict.fromkeys(("re", "real"), "re"),
     **dict.fromkeys(("im", "imag", "imaginary"), "im"),
     **dict.fromkeys(("mag", "abs", "magnitude", "amplitude", "db"), "mag"),
-    **dict.fromkeys(("phase", "ph", "arg", "angle", "ang", "deg", "rad"), "phase"),
+    **dict.fromkeys(("phase", "pha", "ph", "arg", "angle", "ang", "deg", "rad", "degrees"), "phase"),
 }
 _UNITS = {
     **{name: name for name in ("Hz", "kHz", "rad/s", "S", "mS", "uS", "kS", "1/ohm", "pu", "dB", "deg", "rad")},
@@ -32,17 +32,42 @@ _UNITS = {
 }
 """Units as they are written; capitals count, 1 MS is not 1 mS."""
 
+_GLUED = re.compile(
+    rf"(?P<part>{'|'.join(sorted(_PARTS, key=len, reverse=True))})?(?P<quantity>[yz])(?P<element>{'|'.join(POSITION)})"
+    rf"(?P<after>{'|'.join(sorted(_PARTS, key=len, reverse=True))})?",
+    re.IGNORECASE,
+)
+"""Words in one: MagYdd, ReZ12, Yppre."""
+
+_TERMINALS = ("terminal", "bus", "node", "busbar")
+
 _FREQUENCY = {"f": None, "freq": None, "frequency": None, "omega": "rad/s", "w": "rad/s", "hz": "Hz"}
 
 
 class Column(NamedTuple):
-    """What a header says: ``what`` is "f", "value" or the name of a further column of the table."""
+    """What a header says.
+
+    Attributes
+    ----------
+    what : str
+        "f", "value", "terminal", "other" or the name of a further column of the table.
+    element, part : str
+        Of a value: "pp", "dq", "21"; "re", "im", "mag", "phase" or "complex".
+    unit, quantity : str or None
+        None where the header does not say.
+    frame : str
+        That a word beside numbers of rows and columns says: "dq" of ``Z_dq_11``.
+    terminal : str
+        The words that are left over.
+    """
 
     what: str
     element: str = ""
     part: str = ""
     unit: str | None = None
     quantity: str | None = None
+    frame: str = ""
+    terminal: str = ""
 
 
 def variables_header(path: str | Path, header: Sequence[str]) -> list[str]:
@@ -66,6 +91,7 @@ def column_of(header: str) -> Column:
         text = text if unit is None else text[: found.start()].rstrip()
     if text in (*QUALITY, "op_id", "status", "reason"):
         return Column(text)
+    text = re.sub(r"\s+in\s+\(?([^\s()]+)\)?$", _named_unit, text) if unit is None else text
     tokens = [token for token in re.split(r"[\W_]+", text.replace("|", " abs ").replace("∠", " phase ")) if token]
     first = tokens[0].lower() if tokens else ""
     if first in _FREQUENCY and "mirror" not in tokens:
@@ -74,31 +100,74 @@ def column_of(header: str) -> Column:
     return _value_column(tokens, unit)
 
 
+def _named_unit(found: re.Match[str]) -> str:
+    """A unit after "in", as a word of its own."""
+    return f" {_UNITS.get(found[1], found[1])}"
+
+
 def _value_column(tokens: Sequence[str], unit: str | None) -> Column:
+    words = [word for token in tokens for word in _unglued(token)]
+    if {"std", "mirror"} & {word.lower() for word in words}:
+        return Column("other")
+    positions = [word.lower() for word in words if word.lower() in POSITION]
+    frame = positions.pop(0) if len(positions) > 1 and positions[0] in ("pn", "dq") else ""
     quantity = element = part = None
-    for token in tokens:
+    left = []
+    for token in words:
         word = token.lower()
-        bare = word[1:] if word[:1] in ("y", "z") and word[1:] in POSITION else word
-        if word in ("y", "z") or bare != word:
-            quantity = {"y": "admittance", "z": "impedance"}[word[0]]
-        if bare in POSITION:
-            element = bare
+        if word in ("y", "z"):
+            quantity = {"y": "admittance", "z": "impedance"}[word]
+        elif word == frame and element is None and word != positions[0]:
+            continue
+        elif word in positions and element is None:
+            element = word
         elif word in _PARTS:
             part = part or _PARTS[word]
-            unit = unit or {"db": "dB", "deg": "deg", "rad": "rad"}.get(word)
-        elif word in ("std", "mirror"):
-            return Column("other")
-        elif unit is None:
-            unit = _UNITS.get(token)
+            unit = unit or {"db": "dB", "deg": "deg", "degrees": "deg", "rad": "rad"}.get(word)
+        elif unit is None and token in _UNITS:
+            unit = _UNITS[token]
+        elif word not in ("in", "of"):
+            quantity = quantity or {"Y": "admittance", "Z": "impedance"}.get(token[0])
+            left.append(token)
     if element is None:
-        return Column("other")
-    return Column("value", element, part or "complex", unit, quantity)
+        return Column("terminal") if words and words[0].lower() in _TERMINALS else Column("other")
+    return Column("value", element, part or "complex", unit, quantity, frame, "_".join(left))
+
+
+def _unglued(token: str) -> list[str]:
+    """A word as the several that it is made of."""
+    found = _GLUED.fullmatch(token)
+    return [part for part in found.group("part", "quantity", "element", "after") if part] if found else [token]
+
+
+def one_terminal(path: str | Path, columns: Sequence[Column], wanted: str | None) -> tuple[list[Column], str | None]:
+    """Columns of the one terminal that is meant, and its name; None where the columns do not tell terminals apart.
+
+    Raises
+    ------
+    ExchangeError
+        If there are several and the user does not say which, or there is none of that name.
+    """
+    values = [column for column in columns if column.what == "value"]
+    places = [(column.element, column.part, column.unit) for column in values]
+    names = list(dict.fromkeys(column.terminal for column in values))
+    if len(names) < 2 or len(set(places)) == len(places):
+        return list(columns), wanted if wanted and names == [wanted] else None
+    if wanted is None:
+        raise ExchangeError(
+            f"{path} holds several terminals: --terminal {' or '.join(name or '(none)' for name in names)}"
+        )
+    if wanted not in names:
+        raise ExchangeError(f"{path} has no terminal {wanted!r}; it has {', '.join(names)}")
+    kept = [Column("other") if column.what == "value" and column.terminal != wanted else column for column in columns]
+    return kept, wanted
 
 
 def said_by_columns(path: str | Path, columns: Sequence[Column]) -> dict[str, Any]:
     """Frame and quantity as far as the names of the columns say them."""
     values = [column for column in columns if column.what == "value"]
     frames = {"pn" if c.element in ELEMENTS else "dq" for c in values if c.element in (*ELEMENTS, *DQ_ELEMENTS)}
+    frames |= {column.frame for column in values if column.frame}
     quantities = {column.quantity for column in values if column.quantity}
     for kinds in (frames, quantities):
         if len(kinds) > 1:

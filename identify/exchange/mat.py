@@ -45,6 +45,9 @@ _FREQUENCIES = {
     **dict.fromkeys(("f", "freq", "freqs", "frequency", "frequencies")),
 }
 
+DEEPEST, MOST_ELEMENTS = 6, 64
+"""Structures within structures, and elements of an array of them, that are looked into."""
+
 _RESPONSES = ("ResponseData", "Response")
 _UNIT_NAMES = ("FrequencyUnit", "FrequencyUnit_", "FreqUnits", "Units")
 
@@ -105,14 +108,14 @@ def read_mat(path: str | Path, given: Facts) -> Found:
         If it is no such file, inflates beyond bounds, or the matrix, its frequencies or a fact is missing.
     """
     check_file(path)
-    variables = _variables(path)
+    variables = _flattened(_variables(path))
     objects = {name: value for name, value in variables.items() if hasattr(value, "properties")}
     chosen = given.get("variable")
     matrices = {name: value for name, value in variables.items() if _is_matrix(value)}
     candidates = {**matrices, **objects}
     if chosen is not None and chosen not in candidates:
         raise ExchangeError(f"{path} has no matrix {chosen!r}; it has {', '.join(candidates) or 'none'}")
-    names = [chosen] if chosen else [name for name in matrices if name != "Y_std"] or list(objects)
+    names = [chosen] if chosen else [name for name in matrices if not name.endswith("Y_std")] or list(objects)
     if len(names) != 1:
         raise ExchangeError(
             f"{path}: {'several' if names else 'no'} 2x2xN matrices or frd objects among {', '.join(variables)[:200]}; "
@@ -123,7 +126,39 @@ def read_mat(path: str | Path, given: Facts) -> Found:
     return _plain(path, names[0], variables, given)
 
 
+def _flattened(variables: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
+    """Variables, and the fields of structures by their paths, such as ``Z.ZDQ`` or ``scan(2).Y``."""
+    found: dict[str, Any] = {}
+    for key, value in variables.items():
+        name = f"{prefix}{key}"
+        found[name] = value
+        if not (isinstance(value, np.ndarray) and value.dtype.names) or depth >= DEEPEST:
+            continue
+        elements = value.ravel()[:MOST_ELEMENTS]
+        for number, element in enumerate(elements, start=1):
+            fields = {field: element[field] for field in value.dtype.names}
+            path = f"{name}." if len(elements) == 1 else f"{name}({number})."
+            found |= _flattened(fields, path, depth + 1)
+    return found
+
+
+def _around(variables: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """What stands beside a variable in its structure, and beside that, by bare names."""
+    found: dict[str, Any] = {}
+    parent = name.rpartition(".")[0]
+    prefixes = [""]
+    while parent:
+        prefixes.insert(1, f"{parent}.")
+        parent = parent.rpartition(".")[0]
+    for prefix in prefixes:
+        inside = {key.removeprefix(prefix): value for key, value in variables.items() if key.startswith(prefix)}
+        found |= {key: value for key, value in inside.items() if "." not in key}
+    return found
+
+
 def _plain(path: str | Path, name: str, variables: Mapping[str, Any], given: Facts) -> Found:
+    variables = _around(variables, name)
+    name = name.rpartition(".")[2]
     said: dict[str, Any] = {key: _text(variables[key]) for key in _TEXTS if key in variables}
     said |= {key: _number(variables[key]) for key in _NUMBERS if key in variables}
     if "quantity" not in said and name[:1].lower() in ("y", "z"):

@@ -13,12 +13,15 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...plant.foreign.cells import kind_of, split
+from ...plant.foreign.clean_text import FORTRAN
+from ...plant.foreign.layout import NAMES, Layout, LayoutError, is_comment, layout_of
 from ..files import atomic_file
 from ..response import FrequencyResponse
 from ..table.format import ELEMENTS, QUALITY, canonical_json, std_of
@@ -38,10 +41,24 @@ from .facts import (
     texts,
     unit_factor,
 )
-from .headers import DQ_ELEMENTS, POSITION, Column, column_of, said_by_columns, variables_header
+from .headers import (
+    DQ_ELEMENTS,
+    POSITION,
+    Column,
+    column_of,
+    one_terminal,
+    said_by_columns,
+    variables_header,
+)
 
-Places = dict[tuple[int, int], dict[str, int]]
-"""Row and column of an element to the numbers of the columns that hold its parts."""
+Places = dict[tuple[int, int], dict[str, list[int]]]
+"""Row and column of an element to the numbers of the columns that hold its parts; some may be there several times."""
+
+FORMS = ({"complex"}, {"re", "im"}, {"mag", "phase"})
+"""Parts that make an element, the best first."""
+
+REDUNDANT = 1e-3
+"""Part of an element by which columns that say the same may differ: they are printed with few digits."""
 
 # Writing
 
@@ -90,7 +107,7 @@ def read_csv(path: str | Path, given: Facts) -> Found:
     Parameters
     ----------
     path : path
-        Separated by commas, semicolons, tabs or blanks; the first line that is no comment is the header.
+        Separated by commas, semicolons, tabs or blanks; see `layout_of`.
     given : mapping
         Facts that the user knows.
 
@@ -99,63 +116,96 @@ def read_csv(path: str | Path, given: Facts) -> Found:
     ExchangeError
         If it is no such text, a column is missing, a cell is no number, or a fact is.
     """
-    comments, header, rows = _opened(check_file(path))
+    return found_in(path, _opened(check_file(path)), given)
+
+
+def found_in(path: str | Path, opened: Opened, given: Facts) -> Found:
+    """What a table of text holds, once it is opened."""
+    comments, header, rows = opened
     columns = [column_of(name) for name in header]
+    columns, terminal = one_terminal(path, columns, given.get("terminal"))
     said = agreed(said_by_columns(path, columns), facts_of(comments), path)
     facts = agreed(said, given, path)
     at_f = _frequency_column(path, columns)
+    kept = _of_terminal(path, columns, rows, given.get("terminal")) if terminal is None else rows
     places = _places(path, header, columns)
-    cells = _cells(path, header, columns, rows)
+    cells = _cells(path, header, columns, kept)
     need_all(facts, (*TABLE_FACTS, *_left_open(columns)), path)
     frequency = _frequency(path, columns[at_f], cells[at_f], facts)
-    matrix = _matrix(path, columns, cells, places, facts)
+    matrix = _matrix(path, header, columns, cells, places, facts)
     return Found(_sheets(columns, cells, frequency, matrix, said), facts)
 
 
-def _opened(path: Path) -> tuple[list[str], list[str], Iterator[list[str]]]:
-    """Comments above the header, the header, and the rows below, which are read when they are asked for."""
-    lines = _lines(path)
-    comments: list[str] = []
-    for first in lines:
-        if not first.startswith("#"):
-            break
-        comments.append(first[1:].strip())
-    else:
-        raise ExchangeError(f"{path}: no header and no rows")
-    delimiter = next((mark for mark in "\t;," if mark in first), None)
-    rows = _split(path, chain([first], (line for line in lines if not line.startswith("#"))), delimiter)
-    header, row = next(rows), next(rows, None)
-    if row is None:
-        raise ExchangeError(f"{path}: a header, and no rows")
-    if len(header) == 3 and len(row) == 5:
-        header = variables_header(path, header)
-    return comments, header, chain([row], rows)
+class Opened(NamedTuple):
+    """A table of text: comments above the header, the header, and the rows below, read when they are asked for."""
+
+    comments: Sequence[str]
+    header: Sequence[str]
+    rows: Iterable[Sequence[str]]
 
 
-def _lines(path: Path) -> Iterator[str]:
-    """Lines that are not blank; what is not UTF-8 is taken for Latin-1."""
-    with open(path, "rb") as file:
-        if b"\0" in file.read(4096):
-            raise ExchangeError(f"{path}: not text: it holds zero bytes; --format says what it is")
-        file.seek(0)
+def _opened(path: Path) -> Opened:
+    try:
+        layout = layout_of(path)
+    except LayoutError as error:
+        raise ExchangeError(str(error)) from None
+    return opened(path, layout, _lines(path, layout.mending.encoding))
+
+
+def opened(path: str | Path, layout: Layout, lines: Iterable[str]) -> Opened:
+    """A table of a known layout out of its lines."""
+    above = list(islice(lines, layout.skip_rows))
+    rows = _split(path, (line for line in lines if line.strip() and not is_comment(line)), layout)
+    return Opened(layout.comments, _header(path, layout, above), rows)
+
+
+def _header(path: str | Path, layout: Layout, above: Sequence[str]) -> list[str]:
+    """Names of the columns with their units in brackets."""
+    if layout.names is None:
+        named = [split(line, layout.delimiter) for line in above if line.strip() and not is_comment(line)]
+        if named and len(named[-1]) == 3 and len(layout.kinds) == 5:
+            return variables_header(path, named[-1])
+        raise ExchangeError(f"{path}: no header: {'; '.join(layout.notes) or 'the file begins with numbers'}")
+    units = layout.units or ("",) * len(layout.names)
+    return [
+        f"{name} [{unit.strip('()[] ')}]" if unit.strip("()[] -") else name
+        for name, unit in zip(layout.names, units, strict=True)
+    ]
+
+
+def _lines(path: Path, encoding: str) -> Iterator[str]:
+    """Lines of a file; bytes that are no text are replaced."""
+    with open(path, encoding=encoding.replace("utf-8-sig", "utf-8"), errors="replace", newline=None) as file:
         for number, line in enumerate(file):
-            try:
-                text = line.decode("utf-8-sig" if number == 0 else "utf-8")
-            except UnicodeDecodeError:
-                text = line.decode("latin-1")
-            if text.strip():
-                yield text
+            yield line.lstrip("\ufeff") if number == 0 else line
 
 
-def _split(path: Path, lines: Iterable[str], delimiter: str | None) -> Iterator[list[str]]:
-    if delimiter is None:
-        yield from (line.split() for line in lines)
+def _split(path: str | Path, lines: Iterable[str], layout: Layout) -> Iterator[list[str]]:
+    """Cells of lines; numbers as Python writes them."""
+    for row in _raw_rows(path, lines, layout.delimiter):
+        while len(row) > len(layout.kinds) and not row[-1].strip():
+            row.pop()
+        yield [_plain(cell, layout) for cell in row] if layout.decimal == "," or layout.mending.exponents else row
+
+
+def _raw_rows(path: str | Path, lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    if delimiter == " ":
+        yield from (split(line, delimiter) for line in lines)
         return
     try:
         yield from csv.reader(lines, delimiter=delimiter, strict=True)
     except csv.Error as error:
-        name = {"\t": "tab", ";": "semicolon", ",": "comma"}[delimiter]
-        raise ExchangeError(f"{path}: not {name}-separated: {error}") from None
+        raise ExchangeError(f"{path}: not {NAMES[delimiter]}-separated: {error}") from None
+
+
+def _plain(cell: str, layout: Layout) -> str:
+    """A number with a point and an E; anything else as it is."""
+    if kind_of(cell) != "number":
+        return cell
+    if layout.mending.thousands:
+        cell = cell.replace(layout.mending.thousands, "")
+    cell = cell.replace(",", ".") if layout.decimal == "," else cell
+    return FORTRAN.sub(b"E", cell.encode()).decode() if layout.mending.exponents else cell
 
 
 def _cells(
@@ -181,7 +231,7 @@ def _kind(column: Column) -> type | None:
         return str
     if column.what == "f" or column.part == "complex":
         return complex
-    return None if column.what == "other" else float
+    return None if column.what in ("other", "terminal") else float
 
 
 def _number(path: str | Path, number: int, name: str, cell: str, kind: type) -> Any:
@@ -212,17 +262,36 @@ def _frequency(path: str | Path, column: Column, values: np.ndarray, facts: Fact
     return np.asarray(values.real * frequency_factor(column.unit or facts["frequency_unit"], path))
 
 
+def _of_terminal(
+    path: str | Path, columns: Sequence[Column], rows: Iterable[Sequence[str]], wanted: str | None
+) -> Iterable[Sequence[str]]:
+    """Rows of the terminal that is wanted, where a column names the terminal of each."""
+    at = next((k for k, column in enumerate(columns) if column.what == "terminal"), None)
+    if at is None:
+        if wanted is not None:
+            raise ExchangeError(f"{path} names no terminals: leave --terminal {wanted} out")
+        return rows
+    listed = list(rows)
+    names = dict.fromkeys(row[at].strip() for row in listed if len(row) > at)
+    if wanted is None and len(names) > 1:
+        raise ExchangeError(f"{path} holds several terminals: --terminal {' or '.join(names)}")
+    if wanted is not None and wanted not in names:
+        raise ExchangeError(f"{path} has no terminal {wanted!r}; it has {', '.join(names)}")
+    return [row for row in listed if wanted is None or row[at].strip() == wanted]
+
+
 def _places(path: str | Path, header: Sequence[str], columns: Sequence[Column]) -> Places:
-    """Which column holds which part of which element; all four must be there."""
+    """Which columns hold which part of which element; all four must be there."""
     places: Places = {(row, column): {} for row in (0, 1) for column in (0, 1)}
-    for number, (name, column) in enumerate(zip(header, columns, strict=True)):
+    for number, column in enumerate(columns):
         if column.what == "value":
-            parts = places[POSITION[column.element]]
-            if column.part in parts:
-                raise ExchangeError(f"{path}: column {name!r} is there twice")
-            parts[column.part] = number
+            places[POSITION[column.element]].setdefault(column.part, []).append(number)
     for at, parts in places.items():
-        if set(parts) not in ({"complex"}, {"re", "im"}, {"mag", "phase"}):
+        for part, numbers in parts.items():
+            twice = [k for k in numbers if columns[k].unit == columns[numbers[0]].unit]
+            if len(twice) > 1 and part not in ("mag", "phase"):
+                raise ExchangeError(f"{path}: {header[twice[0]]!r} and {header[twice[1]]!r} are the same part twice")
+        if not any(set(parts) >= form for form in FORMS):
             names = " or ".join(name for name, place in POSITION.items() if place == at)
             given = ", ".join(sorted(parts)) or "nothing"
             raise ExchangeError(
@@ -233,14 +302,39 @@ def _places(path: str | Path, header: Sequence[str], columns: Sequence[Column]) 
 
 
 def _matrix(
-    path: str | Path, columns: Sequence[Column], cells: Sequence[np.ndarray], places: Places, facts: Facts
+    path: str | Path,
+    header: Sequence[str],
+    columns: Sequence[Column],
+    cells: Sequence[np.ndarray],
+    places: Places,
+    facts: Facts,
 ) -> np.ndarray:
     """Y or Z (n, 2, 2) in S or ohm."""
-    elements = [
-        _joined({part: _in_si(path, columns[k], cells[k], facts) for part, k in parts.items()})
-        for parts in places.values()
-    ]
+    elements = []
+    for parts in places.values():
+        value = _joined({part: _in_si(path, columns[k[0]], cells[k[0]], facts) for part, k in parts.items()})
+        for part, numbers in parts.items():
+            for k in numbers:
+                _check_redundant(path, header[k], part, _in_si(path, columns[k], cells[k], facts), value)
+        elements.append(value)
     return np.stack(elements, axis=-1).reshape(-1, 2, 2)
+
+
+def _check_redundant(path: str | Path, name: str, part: str, said: np.ndarray, value: np.ndarray) -> None:
+    """Refuse a column that says something else than those that were used."""
+    if part == "phase":
+        wrong = np.abs(np.exp(1j * said) - np.exp(1j * np.angle(value))) * np.abs(value)
+    else:
+        parts = {"re": value.real, "im": value.imag, "mag": np.abs(value), "complex": value}
+        wrong = np.abs(said - parts[part])
+    size = np.abs(value)
+    bad = wrong > REDUNDANT * size + 1e-9 * np.nanmax(size, initial=0.0)
+    if np.any(bad):
+        row = int(np.argmax(bad))
+        raise ExchangeError(
+            f"{path}: column {name!r} contradicts the others in row {row + 1}, by {wrong[row] / size[row]:.2g} of the "
+            "element: which of them is right? Remove the wrong ones"
+        )
 
 
 def _in_si(path: str | Path, column: Column, values: np.ndarray, facts: Facts) -> np.ndarray:
@@ -259,7 +353,7 @@ def _joined(parts: Mapping[str, np.ndarray]) -> np.ndarray:
     """One element from re and im, magnitude and phase, or as it is."""
     if "complex" in parts:
         return parts["complex"]
-    if "re" in parts:
+    if {"re", "im"} <= set(parts):
         value = np.empty(len(parts["re"]), dtype=complex)  # not re + 1j im: NaN and signed zeros stay where they are
         value.real, value.imag = parts["re"], parts["im"]
         return value

@@ -11,6 +11,7 @@ import io
 import json
 import re
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,7 @@ def read_touchstone(path: str | Path, given: Facts) -> Found:
     text = check_file(path).read_bytes().decode("latin-1")
     comments = [line.lstrip()[1:].strip() for line in text.splitlines() if line.lstrip().startswith("!")]
     _check_parameters(path, text)
+    _check_order(path, text)
     f_hz, y = _admittance(path, text)
     said = facts_of(comments)
     said.update(quantity="admittance", unit="S", frequency_unit="Hz")
@@ -85,6 +87,36 @@ def _check_parameters(path: str | Path, text: str) -> None:
         raise ExchangeError(
             f"{path} holds {found.pop()}-parameters, whose scaling writers disagree on: save S-parameters"
         )
+
+
+def _check_order(path: str | Path, text: str) -> None:
+    """Refuse frequencies that do not ascend: readers take the first that falls for the beginning of noise data."""
+    rows = list(_rows(text))
+    if any(len(row) not in (5, 9) for row in rows):
+        return  # a number of ports that is refused anyway, or numbers that are no two-port: scikit-rf says so
+    last = -np.inf
+    for number, row in enumerate(rows):
+        if len(row) == 5:
+            if any(len(other) == 9 for other in rows[number:]):
+                raise ExchangeError(f"{path}: row {number + 1} has 5 numbers, a two-port has 9")
+            return
+        if not row[0] > last:
+            raise ExchangeError(
+                f"{path}: {row[0]:g} follows {last:g} (row {number + 1}); needed: ascending frequencies: sort the "
+                "rows, or cut the file where another sweep begins"
+            )
+        last = row[0]
+
+
+def _rows(text: str) -> Iterator[list[float]]:
+    """Numbers of each line of data."""
+    for line in text.splitlines():
+        words = line.partition("!")[0].split()
+        if words and words[0][0] not in "#[":
+            try:
+                yield [float(word) for word in words]
+            except ValueError:
+                yield []
 
 
 def _admittance(path: str | Path, text: str) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,8 @@ _BLANKS = re.compile(rb"[ \t]+")
 _EDGES = re.compile(rb"(?m)^ +| +(?=\r?$)")
 _BOM = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
+_READABLE = frozenset((*b"\t\r\n", *range(32, 127)))
+
 LONGEST_LINE = 1 << 20
 """Bytes of a line; a text without ends of lines is none."""
 
@@ -78,7 +80,8 @@ def _without_mark(raw: bytes) -> str:
     """UTF-16 whose first mark was lost: nearly every second byte is zero."""
     even, odd = raw[::2], raw[1::2]
     for name, zeros, others in (("utf-16-le", odd, even), ("utf-16-be", even, odd)):
-        if zeros.count(0) > 0.9 * len(zeros) and others.count(0) == 0:
+        readable = sum(byte in _READABLE for byte in others)
+        if zeros.count(0) > 0.9 * len(zeros) and readable > 0.9 * len(others):
             return name
     return ""
 

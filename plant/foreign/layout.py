@@ -102,6 +102,11 @@ def layout_of(path: Path, fewest: int = 2) -> Layout:
     lines = whole.decode(encoding, "replace").lstrip("\ufeff").splitlines()
     if len(raw) > HEAD_BYTES and encoding.startswith("utf-16"):
         lines = lines[:-1]  # it may be cut in the middle
+    return layout_of_lines(path, lines, encoding, fewest)
+
+
+def layout_of_lines(path: Path, lines: Sequence[str], encoding: str = "utf-8", fewest: int = 2) -> Layout:
+    """As `layout_of`, of the first lines of a text; ``path`` is for messages."""
     delimiter, rows = _separated(path, lines, fewest)
     kinds = kinds_of(rows)
     first = _first_of_numbers(lines, delimiter, kinds)
@@ -117,7 +122,7 @@ def layout_of(path: Path, fewest: int = 2) -> Layout:
         kinds,
         heads.names,
         heads.units,
-        tuple(_bare(line) for line in lines[:first] if _is_comment(line)),
+        tuple(_bare(line) for line in lines[:first] if is_comment(line)),
         mending,
         (*notes, *heads.notes),
     )
@@ -128,7 +133,7 @@ def layout_of(path: Path, fewest: int = 2) -> Layout:
 
 def _separated(path: Path, lines: Sequence[str], fewest: int) -> tuple[str, list[list[str]]]:
     """The delimiter that makes numbers of the largest part of the cells, and lines of the same number of cells."""
-    filled = [line for line in lines if line.strip() and not _is_comment(line)]
+    filled = [line for line in lines if line.strip() and not is_comment(line)]
     found = {delimiter: _fitting_rows(filled[-SAMPLE:], delimiter, fewest) for delimiter in DELIMITERS}
     parts = {delimiter: _part_of_numbers(rows) for delimiter, rows in found.items() if rows}
     good = [delimiter for delimiter in parts if round(parts[delimiter] * len(found[delimiter][0])) >= fewest]
@@ -141,11 +146,9 @@ def _separated(path: Path, lines: Sequence[str], fewest: int) -> tuple[str, list
 def _fitting_rows(lines: Sequence[str], delimiter: str, fewest: int) -> list[list[str]]:
     """Rows of the most common width; those below the headings of a short file, where there are few of them."""
     rows = [split(line, delimiter) for line in lines]
+    rows = [row for row in rows if _n_numbers(row) >= fewest] or rows
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    fitting = [row for row in rows if len(row) == width]
-    if width < 2:
-        return []
-    return [row for row in fitting if _n_numbers(row) >= fewest] or fitting
+    return [row for row in rows if len(row) == width] if width > 1 else []
 
 
 def _part_of_numbers(rows: Sequence[Sequence[str]]) -> float:
@@ -165,6 +168,8 @@ def _no_table(lines: Sequence[str]) -> str:
     if single > 0.5 * len(lines):
         return "a single column of numbers: nothing separates cells; a column of time and one per channel are needed"
     last = " ".join(lines[-1].split())[:60]
+    if not any(kind_of(cell) in ("number", "clock") for line in lines for cell in re.split(r"[\t;, ]+", line) if cell):
+        return f"a header, and no rows of numbers; the last line reads {last!r}"
     return (
         f"no table of numbers: neither tab, semicolon, comma nor blank separates the same number of numbers in every "
         f"line within the first {HEAD_BYTES >> 10} kB; a line reads {last!r}"
@@ -175,7 +180,7 @@ def _first_of_numbers(lines: Sequence[str], delimiter: str, kinds: Sequence[Kind
     """Number of the first line that is like the last ones."""
     wanted = [k for k, kind in enumerate(kinds) if kind in ("number", "clock")]
     for number, line in enumerate(lines):
-        if _is_comment(line) or not line.strip():
+        if is_comment(line) or not line.strip():
             continue
         row = split(line, delimiter)
         if len(row) != len(kinds):
@@ -209,8 +214,8 @@ def _headings(lines: Sequence[str], delimiter: str, kinds: Sequence[Kind]) -> _H
     width = len(kinds)
     ends = width - 1 if kinds[-1] == "empty" else width
     filled = [line for line in lines if line.strip()]
-    plain = _fitting([line for line in filled if not _is_comment(line)], delimiter, width, ends)
-    rows = plain or _fitting([_bare(line) for line in filled if _is_comment(line)], delimiter, width, ends)[-1:]
+    plain = _fitting([line for line in filled if not is_comment(line)], delimiter, width, ends)
+    rows = plain or _fitting([_bare(line) for line in filled if is_comment(line)], delimiter, width, ends)[-1:]
     if not rows:
         return _Heads(None, None, _unfit(filled, delimiter, width))
     units = rows[-1] if len(rows) > 1 and _are_units(rows[-1]) else None
@@ -270,7 +275,8 @@ def _unfit(lines: Sequence[str], delimiter: str, width: int) -> tuple[str, ...]:
     return ()
 
 
-def _is_comment(line: str) -> bool:
+def is_comment(line: str) -> bool:
+    """Whether a line is a remark."""
     return line.lstrip().startswith(COMMENTS)
 
 

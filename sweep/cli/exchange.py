@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from ...identify.exchange.convert import outgoing, to_table
-from ...identify.exchange.facts import ExchangeError, Facts, Found
+from ...identify.exchange.facts import ExchangeError, Facts, Found, check_file
 from ...identify.response import Frame
 from ...identify.table.read import read_table
 from ...identify.table.write import write_table
 from ...plant.errors import SeqsweepError
+from ...plant.foreign.sandbox import apart
 
 SUFFIXES = {
     **{".csv": "csv", ".tsv": "csv", ".txt": "csv"},
@@ -22,18 +23,23 @@ SUFFIXES = {
 
 FORMATS = ("csv", "mat", "touchstone")
 
+READ_ONLY = {".xlsx": "xlsx", ".xlsm": "xlsx"}
+"""Formats that are read and not written."""
+
 
 class UnknownFormat(SeqsweepError):
     """A file whose format neither its suffix nor an option says."""
 
 
-def format_of(path: Path, chosen: str | None) -> str:
+def format_of(path: Path, chosen: str | None, reading: bool = False) -> str:
     """The format a file has or is to have; the option wins over the suffix."""
-    if chosen is not None and chosen not in FORMATS:
-        raise UnknownFormat(f"--format {chosen!r}: known are {', '.join(FORMATS)}")
-    found = chosen or SUFFIXES.get(path.suffix.lower())
+    suffixes = {**SUFFIXES, **READ_ONLY} if reading else SUFFIXES
+    formats = dict.fromkeys((*FORMATS, *suffixes.values()))
+    if chosen is not None and chosen not in formats:
+        raise UnknownFormat(f"--format {chosen!r}: known are {', '.join(formats)}")
+    found = chosen or suffixes.get(path.suffix.lower())
     if found is None:
-        raise UnknownFormat(f"{path}: its suffix says no format; known are {', '.join(SUFFIXES)}, or give --format")
+        raise UnknownFormat(f"{path}: its suffix says no format; known are {', '.join(suffixes)}, or give --format")
     return found
 
 
@@ -67,11 +73,27 @@ def export_table(
 
 def import_file(path: Path, output: Path, kind: str, given: Facts) -> str:
     """Write the table of another tool's file; how it was read, in words."""
-    found = read_file(path, kind, given)
+    found = read_apart(path, kind, given)
     responses, meta = to_table(found, path)
     write_table(output, responses, meta)
     rows = sum(len(response) for response in responses)
-    return f"{output}: {rows} rows from {path}, read as {_in_words(found.facts)}"
+    return f"{output}: {rows} rows from {path}, read as {_in_words(found.facts)}{_turned(found)}"
+
+
+def read_apart(path: Path, kind: str, given: Facts) -> Found:
+    """`read_file` in a process of its own: what a damaged file does to its reader happens there."""
+    check_file(path)
+    absolute = path.absolute()
+    try:
+        found: Found = apart(absolute, f"{__name__}:read_here", str(absolute), kind, dict(given))
+    except SeqsweepError as error:
+        raise ExchangeError(str(error).replace(str(absolute), str(path))) from None
+    return found
+
+
+def read_here(path: str, kind: str, given: Facts) -> Found:
+    """`read_file` by the path's text."""
+    return read_file(Path(path), kind, given)
 
 
 def read_file(path: Path, kind: str, given: Mapping[str, Any]) -> Found:
@@ -88,7 +110,11 @@ def read_file(path: Path, kind: str, given: Mapping[str, Any]) -> Found:
         from ...identify.exchange.touchstone import read_touchstone
 
         return read_touchstone(path, given)
-    raise ExchangeError(f"format {kind!r}; known are {', '.join(FORMATS)}")
+    if kind == "xlsx":
+        from ...identify.exchange.workbook import read_workbook
+
+        return read_workbook(path, given)
+    raise ExchangeError(f"format {kind!r}; known are {', '.join(FORMATS)} and xlsx")
 
 
 def _in_words(facts: Facts) -> str:
@@ -96,3 +122,10 @@ def _in_words(facts: Facts) -> str:
     if frame == "dq":
         frame = f"dq (q {facts.get('q_axis', 'leading')} d)"
     return f"{facts['quantity']} in {frame}, {facts['direction']} direction, f1 = {facts['f1_hz']:g} Hz"
+
+
+def _turned(found: Found) -> str:
+    """What is to be said where rows were taken at another frequency than the file's."""
+    shift = float(found.facts["f1_hz"]) if found.facts["frame"] == "dq" else 0.0
+    below = sum(int((sheet.f_hz + shift < 0.0).sum()) for sheet in found.sheets)
+    return f"; {below} rows below 0 Hz (pn frame) are taken at their mirrors 2 f1 - f" if below else ""

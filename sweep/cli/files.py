@@ -73,9 +73,9 @@ def export_command(
 
 
 def import_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or other text, .mat or Touchstone.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or other text, .mat, .xlsx or Touchstone.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
-    kind: Annotated[str | None, typer.Option("--format", help="csv, mat or touchstone.")] = None,
+    kind: Annotated[str | None, typer.Option("--format", help="csv, mat, touchstone or xlsx.")] = None,
     frame: Annotated[str | None, typer.Option(help="pn or dq.")] = None,
     direction: Annotated[str | None, typer.Option(help="load: current into the device; or generator.")] = None,
     f1: Annotated[float | None, typer.Option(metavar="HZ", help="Fundamental frequency.")] = None,
@@ -89,7 +89,8 @@ def import_command(
     op: Annotated[str | None, typer.Option(metavar="ID", help="Name of the operating point.")] = None,
     active_power_mw: Annotated[float | None, typer.Option(metavar="MW", help="Its active power.")] = None,
     terminal_voltage_pu: Annotated[float | None, typer.Option(metavar="PU", help="Its |v_pcc|.")] = None,
-    variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix in a .mat file.")] = None,
+    variable: Annotated[str | None, typer.Option(metavar="NAME", help="The matrix (.mat) or sheet (.xlsx).")] = None,
+    terminal: Annotated[str | None, typer.Option(metavar="NAME", help="Where a file holds several.")] = None,
     stable_on: StableOn = None,
     force: Force = False,
 ) -> None:
@@ -111,9 +112,10 @@ def import_command(
         "active_power_mw": active_power_mw,
         "terminal_voltage_pu": terminal_voltage_pu,
         "variable": variable,
+        "terminal": terminal,
         "stable_on": stable_on,
     }
-    found = format_of(file, kind)
+    found = format_of(file, kind, reading=True)
     check_new(output, force)
     typer.echo(import_file(file, output, found, given))
 

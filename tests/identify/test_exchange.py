@@ -62,7 +62,7 @@ def written(path: Path, *responses: FrequencyResponse) -> Path:
 
 def imported(path: Path, **given: Any) -> Table:
     """The table of a foreign file; it conforms."""
-    kind = {".mat": "mat", ".s2p": "touchstone"}.get(path.suffix, "csv")
+    kind = {".mat": "mat", ".s2p": "touchstone", ".xlsx": "xlsx"}.get(path.suffix, "csv")
     out = path.with_name("imported.parquet")
     import_file(path, out, kind, given)
     assert validate_table(out) == []
@@ -602,7 +602,7 @@ MAT_HEAD = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
 
 GARBAGE: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "is empty"),
-    "binary.csv": (b"\x00\x01" * 100, "not text"),
+    "binary.csv": (b"\x00\x01" * 100, "not a text file"),
     "only a header.csv": (BASE_HEADER.encode(), "a header, and no rows"),
     "odd fact.csv": (b"# unit: [1]\n" + BASE_HEADER.encode() + b"\n1,1,1,1,1,1,1,1,1\n", "unit is [1]; needed: a text"),
     "contradiction.csv": (
@@ -621,9 +621,9 @@ GARBAGE: dict[str, tuple[bytes, str]] = {
         b"status," + BASE_HEADER.encode() + b"\n" + b"x" * 2000 + b",1" * 9,
         "a text of more than 1000 characters",
     ),
-    "blank.csv": (b"\n\n", "no header and no rows"),
-    "ragged.csv": (BASE_HEADER.encode() + b"\n1,2,3\n", "row 1 has 3 cells, the header 9"),
-    "quote.csv": (b'a,b\n"1"2,3\n', "not comma-separated"),
+    "blank.csv": (b"\n\n", "no lines: the file is empty"),
+    "ragged.csv": (BASE_HEADER.encode() + b"\n1,2,3\n", "the headings have 9 cells, the rows 3"),
+    "quote.csv": (BASE_HEADER.encode() + b'\n"1"2' + b",1" * 8 + b"\n", "not comma-separated"),
     "text.mat": (b"not matlab" * 60, "not a .mat file"),
     "truncated.mat": (MAT_HEAD + struct.pack("<II", 15, 4000) + b"x", "truncated"),
     "no matrix.s2p": (b"hello\n", "no option line"),
@@ -662,7 +662,7 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, monkeypatch: pytes
     bomb = zlib.compress(bytes(3 * 2**20))
     (tmp_path / "bomb.mat").write_bytes(MAT_HEAD + struct.pack("<II", 15, len(bomb)) + bomb)
     with pytest.raises(ExchangeError, match="inflates to more than 1 MiB"):
-        imported(tmp_path / "bomb.mat", **GIVEN)
+        read_file(tmp_path / "bomb.mat", "mat", GIVEN)
 
 
 def test_a_bomb_of_version_73_is_refused_before_it_goes_off(tmp_path: Path) -> None:
