@@ -89,7 +89,7 @@ def real_covariance(gamma: np.ndarray) -> np.ndarray:
 
 
 @cache
-def student_factor(freedom: int) -> float:
+def student_factor(freedom: float) -> float:
     """Factor on a variance of ``freedom`` complex degrees of freedom, for regions at `LEVEL`.
 
     A complex number whose variance is estimated lies within a circle of radius^2 = s^2 F(2, 2 freedom); with the

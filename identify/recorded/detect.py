@@ -11,15 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .background import ABOVE_NOISE, SPECTRUM_SAMPLES, interpolated, neighbourhood, taken_off
+from .fundamental import fundamental
 from .line_fit import Waveforms
-from .tones import (
-    ABOVE_NOISE,
-    SPECTRUM_SAMPLES,
-    fundamental,
-    interpolated,
-    neighbourhood,
-    taken_off,
-)
 
 FRAME_S = (0.2, 1.0)
 """Shortest and longest frame (s)."""

@@ -4,6 +4,29 @@ A record is cut into short segments; each is projected onto exponentials near it
 few numbers per segment. Everything after that (solving for all lines at once, refining frequencies, following a
 drifting fundamental, the scatter of the segments) works on those numbers, exactly: a line of any frequency seen through
 an exponential of another is a Dirichlet kernel.
+
+Derivation. Let E (n, l) be the exponentials of one segment of n samples, time zero at its centre, and x_m the samples
+of segment m. `project` keeps z_m = E^H x_m. Line k has phasor a_k at the centre of the record, angle theta_mk and
+angular speed w_mk in segment m, so that the record is
+
+    x_m = sum_k a_k exp(j theta_mk) e_k + noise,     e_k = exp(j w_mk tau), tau from the centre of the segment.
+
+Within the span of E the squared error of segment m is ||P (x_m - sum_k a_k exp(j theta_mk) e_k)||^2 with the projector
+P = E W E^H, W = (E^H E)^+. With the kernel K_lk = E_l^H e_k, a real Dirichlet sum because tau is symmetric, setting its
+derivative by conj(a_k), summed over m, to zero gives the normal equations
+
+    sum_j S_kj a_j = sum_m h_mk,    h_mk = exp(-j theta_mk) (K^T W z_m)_k,
+    S_kj = sum_m exp(-j theta_mk) G_kj exp(j theta_mj),    G = K^T W K.
+
+Where the frequencies are those of E, P e_k = e_k and this is least squares over all samples, to the last digit. What
+segment m says beyond the solution is r_mk = h_mk - sum_j exp(-j theta_mk) G_kj exp(j theta_mj) a_j; it sums to zero
+over m. Segment m alone would move the solution by S^-1 r_m, the mean of M such scores M S^-1 r_m has the covariance
+sum_m score score^H / (M nu). In white noise E[r_m r_m^H] = G_m - G_m S^-1 G_m: each line that was solved for takes away
+from a segment what it cannot tell from line k. With S nearly diagonal that leaves nu_k of M degrees of freedom,
+
+    nu_k = M - sum_j G_kj^2 / (G_kk G_jj),
+
+which is M - 1 for a line that stands alone.
 """
 
 from __future__ import annotations
@@ -17,6 +40,9 @@ from ...plant.protocol import Record
 
 RANK = 1e-12
 """Directions of a segment's exponentials weaker than this are not told apart within one segment."""
+
+WORST_CONDITION = 1e10
+"""Of the normal equations, scaled: beyond it two lines are one."""
 
 PORTION = 1 << 16
 """Samples in work at a time."""
@@ -35,10 +61,15 @@ class Waveforms(Protocol):
 
 
 class Line(NamedTuple):
-    """A line at ``order * f1 + offset_hz``: (1, 0) the fundamental, (0, f) a tone, (2, -f) its mirror."""
+    """A line at ``order * f1 + offset_hz``: (1, 0) the fundamental, (0, f) a tone, (2, -f) its mirror.
+
+    With ``power`` 1 its amplitude rises in proportion to time (from segment to segment): the derivative of a line by
+    its angular frequency, but for a factor of j.
+    """
 
     order: int
     offset_hz: float
+    power: int = 0
 
     def at(self, f1_hz: float) -> float:
         """Its signed frequency (Hz)."""
@@ -91,10 +122,20 @@ class Solution(NamedTuple):
         Phasors of v and i (V, A), phase zero at the centre of the record.
     scores : (m, k, 2) complex
         How far each segment alone would move ``a``; zero in the mean. Their scatter is its uncertainty.
+    own : (m, k, 2) complex
+        What each segment has of a line beyond ``a``, the other lines taken as solved.
+    freedom : (k,) float
+        Degrees of freedom of the scatter (nu in the derivation above).
     """
 
     a: np.ndarray
     scores: np.ndarray
+    own: np.ndarray
+    freedom: np.ndarray
+
+    def followed(self, number: int) -> np.ndarray:
+        """Phasor (m, 2) of one line in every segment, the others taken as solved; its mean is about ``a``."""
+        return np.asarray(self.a[number] + self.own[:, number])
 
 
 def project(waveforms: Waveforms, start: int, stop: int, lines_hz: np.ndarray, n_steps: int) -> Segments:
@@ -139,50 +180,64 @@ def constant(segments: Segments, f1_hz: float) -> Phases:
 
 
 def solve(segments: Segments, lines: list[Line], phases: Phases) -> Solution:
-    """Least squares of all ``lines`` over all segments.
+    """Least squares of all ``lines`` over all segments; the equations are at the head of this module.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If two lines cannot be told apart in the whole record.
     """
-    turn, model = _model(segments, lines, phases)
-    heard = np.einsum("mlk,mlc->mkc", model, segments.z) * turn.conj()[:, :, None]
-    kernel = _kernel(segments, lines, phases)
-    gram = np.einsum("mlk,mlj->mkj", model, kernel) * turn.conj()[:, :, None] * turn[:, None, :]
-    total = gram.sum(axis=0)
+    m = len(segments.t_s)
+    turn, kernel = _turns(segments, lines, phases), _kernel(segments, lines, phases)
+    weighted = np.einsum("lj,mjk->mlk", _weight(segments), kernel)
+    gram = np.einsum("mlk,mlj->mkj", weighted, kernel)  # G: one for all segments where no frequency changes
+    heard = _applied(weighted, segments.z) * turn.conj()[:, :, None]
+    total = _sum_over_segments(gram, turn)
     scale = np.sqrt(np.real(np.diagonal(total)))
     scaled = total / np.outer(scale, scale)
-    if np.linalg.cond(scaled) > 1e10:
+    if not np.linalg.cond(scaled) <= WORST_CONDITION:
         raise np.linalg.LinAlgError("two lines are closer than the record can tell apart")
     inverse = np.linalg.inv(scaled) / np.outer(scale, scale)
     a = np.einsum("kj,jc->kc", inverse, heard.sum(axis=0))
-    left = heard - np.einsum("mkj,jc->mkc", gram, a)
-    return Solution(a, len(segments.t_s) * np.einsum("kj,mjc->mkc", inverse, left))
+    left = heard - _applied(gram, turn[:, :, None] * a) * turn.conj()[:, :, None]
+    own = left / _positive(np.diagonal(gram, axis1=1, axis2=2) * np.abs(turn) ** 2)[:, :, None]
+    return Solution(a, m * np.einsum("kj,mjc->mkc", inverse, left), own, m - _shared(gram))
 
 
-def follow(segments: Segments, lines: list[Line], phases: Phases, solution: Solution, number: int) -> np.ndarray:
-    """Phasor (m, 2) of one line in every segment, the others taken as solved; its mean is about ``solution.a``."""
-    turn, model = _model(segments, lines, phases)
-    kernel = _kernel(segments, lines, phases)
-    others = np.einsum("mlk,mk,kc->mlc", kernel, turn, _without(solution.a, number))
-    weight = np.einsum("ml,ml->m", model[:, :, number], kernel[:, :, number])
-    mine = np.einsum("ml,mlc->mc", model[:, :, number], segments.z - others) / weight[:, None]
-    return np.asarray(mine * turn.conj()[:, number, None])
+def _applied(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """``matrix`` (m or 1, a, b) transposed, times x (m, a, c): (m, b, c)."""
+    if len(matrix) == 1:
+        return np.asarray(np.einsum("ab,mac->mbc", matrix[0], x))
+    return np.asarray(np.einsum("mab,mac->mbc", matrix, x))
 
 
-def _without(a: np.ndarray, number: int) -> np.ndarray:
-    return np.where((np.arange(len(a)) == number)[:, None], 0.0, a)
+def _sum_over_segments(gram: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """S (k, k): the Gram matrices of all segments, turned to one time."""
+    if len(gram) == 1:
+        return np.asarray(gram[0] * np.einsum("mk,mj->kj", turn.conj(), turn))
+    return np.asarray(sum(each * np.outer(t.conj(), t) for each, t in zip(gram, turn, strict=True)))
+
+
+def _shared(gram: np.ndarray) -> np.ndarray:
+    """Degrees of freedom (k,) that all lines take from the scatter of each."""
+    mean = gram.mean(axis=0)
+    own = _positive(np.diagonal(mean))
+    return np.asarray(np.sum(mean**2 / np.outer(own, own), axis=1))
+
+
+def _positive(x: np.ndarray) -> np.ndarray:
+    return np.maximum(x, 1e-300)
 
 
 def _speeds(lines: list[Line], phases: Phases) -> np.ndarray:
-    """Angular frequency (m, k) of every line in every segment."""
+    """Angular frequency (m, k) of every line in every segment; (1, k) where the fundamental keeps its own."""
     orders, offsets = np.array([line.order for line in lines]), np.array([line.offset_hz for line in lines])
-    return np.asarray(np.outer(phases.speed, orders) + 2.0 * np.pi * offsets)
+    speed = phases.speed[:1] if np.ptp(phases.speed) == 0.0 else phases.speed
+    return np.asarray(np.outer(speed, orders) + 2.0 * np.pi * offsets)
 
 
 def _kernel(segments: Segments, lines: list[Line], phases: Phases) -> np.ndarray:
-    """What a unit line (m, k) leaves in the projections: (m, l, k) float."""
+    """K: what a unit line (m or 1, k) leaves in the projections: (m or 1, l, k) float."""
     apart = _speeds(lines, phases)[:, None, :] - 2.0 * np.pi * segments.lines_hz[None, :, None]
     return dirichlet(0.5 * apart * segments.dt_s, segments.n_steps)
 
@@ -194,11 +249,15 @@ def dirichlet(half_angle: np.ndarray, n: int) -> np.ndarray:
     return np.asarray(np.where(small, float(n) * np.cos((n - 1) * half_angle), np.sin(n * safe) / np.sin(safe)))
 
 
-def _model(segments: Segments, lines: list[Line], phases: Phases) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (m, k) of every line to the centre of every segment, and what to weigh projections with (m, l, k)."""
+def _weight(segments: Segments) -> np.ndarray:
+    """W (l, l): (E^H E)^+, whose entries are Dirichlet kernels too."""
+    own = np.subtract.outer(segments.lines_hz, segments.lines_hz) * np.pi * segments.dt_s
+    return np.asarray(np.linalg.pinv(dirichlet(own, segments.n_steps), rcond=RANK, hermitian=True))
+
+
+def _turns(segments: Segments, lines: list[Line], phases: Phases) -> np.ndarray:
+    """exp(j theta) (m, k) of every line at the centre of every segment, times the power of time that it has (s)."""
     offsets = np.array([line.offset_hz for line in lines])
     orders = np.array([line.order for line in lines])
     angle = np.outer(phases.angle, orders) + 2.0 * np.pi * ((np.outer(segments.t_s, offsets)) % 1.0)
-    own = np.subtract.outer(segments.lines_hz, segments.lines_hz) * np.pi * segments.dt_s
-    weight = np.linalg.pinv(dirichlet(own, segments.n_steps), rcond=RANK, hermitian=True)
-    return np.exp(1j * angle), np.einsum("lj,mjk->mlk", weight, _kernel(segments, lines, phases))
+    return np.asarray(np.exp(1j * angle) * segments.t_s[:, None] ** np.array([line.power for line in lines]))

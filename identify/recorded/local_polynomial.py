@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..uncertainty import real_covariance, student_factor
-from .line_fit import Line, Waveforms, constant, follow, project, solve
-from .tones import HearingError, fundamental, line_basis
+from .background import line_basis
+from .fundamental import HearingError, fundamental
+from .line_fit import Line, Waveforms, constant, project, solve
 
 DEGREE = 2
 """Of the polynomials."""
@@ -94,9 +95,7 @@ def _fundamental(waveforms: Waveforms) -> tuple[float, complex, complex]:
     try:
         segments = project(waveforms, 0, n, np.array([line.at(f1_hz) for line in lines]), n_steps)
         for _ in range(8):
-            phases = constant(segments, f1_hz)
-            solution = solve(segments, lines, phases)
-            x = follow(segments, lines, phases, solution, 0)[:, 0]
+            x = solve(segments, lines, constant(segments, f1_hz)).followed(0)[:, 0]
             slope = float(np.polyfit(segments.t_s, np.unwrap(np.angle(x * np.conj(x[0]))), 1)[0])
             f1_hz += slope / (2.0 * np.pi)
     except (ValueError, np.linalg.LinAlgError):

@@ -208,13 +208,15 @@ class _Side(NamedTuple):
     i: np.ndarray
     v_scatter: np.ndarray
     i_scatter: np.ndarray
+    freedom: float
     phi1: float
 
 
 def _turned(experiment: Experiment, f_hz: float, f1_hz: float) -> _Side:
     heard = experiment.heard
     order = [0, 1] if (_distance(experiment) > 0.0) == (f_hz > f1_hz) else [1, 0]
-    return _Side(heard.v[order], heard.i[order], heard.v_scatter[:, order], heard.i_scatter[:, order], heard.phi1)
+    scatter = heard.v_scatter[:, order], heard.i_scatter[:, order]
+    return _Side(heard.v[order], heard.i[order], *scatter, heard.freedom, heard.phi1)
 
 
 def _off(experiment: Experiment, f_hz: float, f1_hz: float) -> float:
@@ -236,9 +238,8 @@ def _dependent(sides: list[_Side]) -> bool:
 def _noise(side: _Side, y: np.ndarray) -> np.ndarray:
     """E[e e^H] (2, 2) of the residual i - Y v of a whole experiment (A^2), widened for the number of its segments."""
     residual = components(side.i_scatter, side.phi1) - y @ components(side.v_scatter, side.phi1)
-    n = residual.shape[1]
-    one = np.einsum("aw,bw->ab", residual, residual.conj()) / (n - 1)
-    return np.asarray(one / n * student_factor(n - 1))
+    one = np.einsum("aw,bw->ab", residual, residual.conj()) / side.freedom
+    return np.asarray(one / residual.shape[1] * student_factor(side.freedom))
 
 
 def _loudness(side: _Side) -> float:
@@ -257,6 +258,9 @@ def _covariance(noise: np.ndarray, back: np.ndarray) -> np.ndarray:
 def _judged(group: list[Experiment], y: np.ndarray, covariance: np.ndarray, cond: float) -> tuple[str, str]:
     if not cond <= COND_LIMIT:
         return "ill_conditioned", f"cond(V) is {cond:.2g}: the experiments are nearly one"
+    doubted = next((e for e in group if e.heard.doubt is not None), None)
+    if doubted is not None and doubted.heard.doubt is not None:
+        return doubted.heard.doubt.status, f"{doubted.name}: {doubted.heard.doubt.reason}"
     status, reason = _loud_enough(y, covariance)
     if status != "ok":
         return status, reason
@@ -329,6 +333,8 @@ def _spoiled(point: Point, group: list[Experiment], number: int, background: _Ba
         return point
     for experiment in group:
         heard = experiment.heard
+        if heard.place_known:
+            continue
         places = np.array([heard.f_hz, 2.0 * heard.f1_hz - heard.f_hz])
         near = 1.0 / heard.window_s / heard.f1_hz
         level = [_elsewhere(place / heard.f1_hz, near, number, background) for place in places]
@@ -340,7 +346,29 @@ def _spoiled(point: Point, group: list[Experiment], number: int, background: _Ba
                 reason=f"{experiment.name}: other records have a line of {level[k]:.3g} V at {places[k]:.6g} Hz "
                 f"({level[k] / np.linalg.norm(heard.v):.1%} of the tone): choose a frequency beside it",
             )
+        if _others(background, number) == 0 and (order := _harmonic(heard)) is not None:
+            return replace(
+                point,
+                status="noisy",
+                reason=f"{experiment.name}: the tone, or its mirror, is at {order} f1, where networks have a harmonic, "
+                "and neither a quiet stretch nor another recording shows what stands there without it: choose a "
+                "frequency beside it, or record some seconds before the tone begins",
+            )
     return point
+
+
+def _others(background: _Background, number: int) -> int:
+    """How many experiments belong to other points than ``number``."""
+    return int(np.count_nonzero(background.group_of != number))
+
+
+def _harmonic(heard: Heard) -> int | None:
+    """The odd multiple of f1, other than f1 itself, at which the tone or its mirror stands."""
+    for place in (heard.f_hz, 2.0 * heard.f1_hz - heard.f_hz):
+        order = round(place / heard.f1_hz)
+        if order % 2 and order != 1 and abs(place - order * heard.f1_hz) * heard.window_s < 1.0:
+            return order
+    return None
 
 
 def _elsewhere(order: float, near: float, number: int, background: _Background) -> float:

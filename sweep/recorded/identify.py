@@ -191,7 +191,12 @@ def _tasks(request: Request, manifest: Told | None) -> tuple[list[Task], list[st
     if manifest is None:
         return [replace(blank, path=path) for path in files], []
     pairs, words = match(manifest, files)
-    return [replace(blank, path=p, experiment=e, amplitude_base=manifest.amplitude_base) for p, e in pairs], words
+    quiet_s = {path: min(e.start_s for other, e in pairs if other == path) for path, _ in pairs}
+    tasks = [
+        replace(blank, path=p, experiment=e, amplitude_base=manifest.amplitude_base, quiet_until_s=quiet_s[p])
+        for p, e in pairs
+    ]
+    return tasks, words
 
 
 def _existing(path: Path) -> list[Path]:

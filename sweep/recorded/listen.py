@@ -13,6 +13,7 @@ import numpy as np
 from ...identify.recorded.detect import find_tones
 from ...identify.recorded.local_polynomial import Local, local_polynomials
 from ...identify.recorded.points import NOISY, Experiment
+from ...identify.recorded.quiet import quiet_lines, without_background
 from ...identify.recorded.tones import HearingError, fundamental, hear
 from ...plant.protocol import SourceDirection
 from ...plant.recordings.recording import RecordingError
@@ -39,6 +40,9 @@ NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
 NEAR_NOMINAL = 0.04
 """A fundamental farther than this from every nominal one means a wrong sampling rate, most likely."""
 
+AIRCRAFT_HZ = (340.0, 840.0)
+"""Fundamentals of aircraft, whose generators turn as their engines do (360 to 800 Hz), are not unusual."""
+
 
 @dataclass(frozen=True, slots=True)
 class Task:
@@ -62,6 +66,8 @@ class Task:
         Rated phase peaks.
     amplitude_base : float
         What the manifest's amplitudes are relative to (V or A); NaN.
+    quiet_until_s : float or None
+        Until when no tone is on, in the time of the recording, where a manifest says so (s).
     """
 
     path: Path
@@ -72,6 +78,7 @@ class Task:
     sample_rate_hz: float | None = None
     base: tuple[float, float] | None = None
     amplitude_base: float = nan
+    quiet_until_s: float | None = None
 
 
 class Fundamental(NamedTuple):
@@ -135,7 +142,7 @@ def listen(task: Task) -> Listened:
             base=task.base,
             sample_rate_hz=task.sample_rate_hz,
         )
-        stretches = _as_told(task.experiment, waveforms) if task.experiment else _found(waveforms)
+        stretches = _as_told(task, task.experiment, waveforms) if task.experiment else _found(waveforms)
         result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)
         return result._replace(notes=(*waveforms.notes(), *result.notes))
     except (RecordingError, HearingError) as error:
@@ -149,18 +156,23 @@ def _bare(error: Exception, path: Path) -> str:
     return str(error).replace(str(path), path.name).removeprefix(f"{path.name}: ")
 
 
-Stretches = list[tuple[int, int, tuple[PlayedTone, ...]]]
-"""First and last sample, and the tones that are on between them."""
+class Stretch(NamedTuple):
+    """First and last sample of an experiment, its tones, and the samples before them in which nothing is played."""
+
+    start: int
+    stop: int
+    shots: tuple[PlayedTone, ...]
+    quiet: tuple[int, int] | None = None
 
 
-def _experiments(task: Task, waveforms: Waveforms, stretches: Stretches) -> Listened:
+def _experiments(task: Task, waveforms: Waveforms, stretches: Sequence[Stretch]) -> Listened:
     """Every tone of every stretch; a stretch that cannot be used costs no other."""
     notes: list[str] = []
     experiments: list[Experiment] = []
     refusals: list[Exception] = []
     for stretch in stretches:
         try:
-            found, said = _stretch(task, waveforms, *stretch)
+            found, said = _stretch(task, waveforms, stretch)
         except (RecordingError, HearingError) as error:
             refusals.append(error)
             continue
@@ -175,10 +187,9 @@ def _experiments(task: Task, waveforms: Waveforms, stretches: Stretches) -> List
     return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {tones} Hz", *notes))
 
 
-def _stretch(
-    task: Task, waveforms: Waveforms, start: int, stop: int, shots: tuple[PlayedTone, ...]
-) -> tuple[list[Experiment], list[str]]:
+def _stretch(task: Task, waveforms: Waveforms, stretch: Stretch) -> tuple[list[Experiment], list[str]]:
     """Tones of one stretch, and what is to be said of it."""
+    start, stop, shots, quiet = stretch
     where = _where(waveforms, start, stop)
     defect = defects(waveforms, start, stop)
     if defect.clipped:
@@ -187,8 +198,11 @@ def _stretch(
             "with a larger range"
         )
     heard = hear(waveforms, start, stop, tuple(shot.injected_hz for shot in shots), task.f1_hz)
+    before = quiet_lines(waveforms, *quiet, heard, task.f1_hz) if quiet else None
+    if before is not None:
+        heard = [without_background(each, before) for each in heard]
     notes = [f"{defect.missing} samples are missing{where}"] if defect.missing else []
-    notes += [f"{note}{where}" for note in heard[0].notes]
+    notes += [f"{note}{where}" for note in dict.fromkeys(note for each in heard for note in each.notes)]
     experiments = []
     for shot, each in zip(shots, heard, strict=True):
         served = shot.f_hz if task.experiment else None
@@ -233,19 +247,21 @@ def _where(waveforms: Waveforms, start: int, stop: int) -> str:
     return f" ({waveforms.t0_s + start * dt_s:.4g} to {waveforms.t0_s + stop * dt_s:.4g} s)"
 
 
-def _as_told(told: Played, waveforms: Waveforms) -> Stretches:
+def _as_told(task: Task, told: Played, waveforms: Waveforms) -> list[Stretch]:
     """The stretch a manifest speaks of, or the whole record where it is shorter: recorders start by triggers."""
     dt_s, n = waveforms.dt_s, waveforms.n_samples
     start = max(0, round((told.start_s + told.settle_s - waveforms.t0_s) / dt_s))
     stop = min(n, start + round(told.duration_s / dt_s))
-    whole = stop - start >= MOST_OF * told.duration_s / dt_s
-    return [(start, stop, told.shots) if whole else (0, n, told.shots)]
+    if not stop - start >= MOST_OF * told.duration_s / dt_s:
+        return [Stretch(0, n, told.shots)]
+    until = 0 if task.quiet_until_s is None else int((task.quiet_until_s - waveforms.t0_s) / dt_s)
+    return [Stretch(start, stop, told.shots, (0, until) if 0 < until <= start else None)]
 
 
-def _found(waveforms: Waveforms) -> Stretches:
+def _found(waveforms: Waveforms) -> list[Stretch]:
     """Stretches that nobody told of."""
     found = find_tones(waveforms)
-    return [(each.start, each.stop, (PlayedTone(nan, each.f_hz, nan, nan),)) for each in found]
+    return [Stretch(each.start, each.stop, (PlayedTone(nan, each.f_hz, nan, nan),)) for each in found]
 
 
 def _lies(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
@@ -255,7 +271,8 @@ def _lies(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
     notes = []
     if claimed and abs(f1_hz / claimed - 1.0) > F1_LIE:
         notes.append(f"the file says {claimed:g} Hz, its data {f1_hz:.6g} Hz: the data is believed")
-    if min(abs(f1_hz / nominal - 1.0) for nominal in NOMINAL_HZ) > NEAR_NOMINAL:
+    usual = min(abs(f1_hz / nominal - 1.0) for nominal in NOMINAL_HZ) <= NEAR_NOMINAL
+    if not usual and not AIRCRAFT_HZ[0] <= f1_hz <= AIRCRAFT_HZ[1]:
         nominal = claimed or min(NOMINAL_HZ[:2], key=lambda x: abs(f1_hz / x - 1.0))
         rate = nominal / f1_hz / waveforms.dt_s
         notes.append(
