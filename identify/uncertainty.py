@@ -15,6 +15,9 @@ from ..plant.errors import SeqsweepError
 from .admittance import components
 from .response import FrequencyResponse
 
+NORMAL_95 = 1.959964
+"""Standard errors on either side of a 95 % interval."""
+
 LEVEL = 0.95
 """Level at which a region computed from the stored covariance with normal quantiles holds."""
 

@@ -8,10 +8,13 @@ plain `ValueError` for shapes that do not fit: such a thing is a bug here, never
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 MOST_CHARACTERS = 300
 """Length of a reason: it goes over a pipe, and into a row."""
+
+MOST_NAMES = 10
+"""Names that a refusal lists; a table may hold a thousand operating points."""
 
 _OURS = __name__.partition(".")[0]
 
@@ -44,3 +47,24 @@ def in_words(error: BaseException) -> str:
 def reason_of(error: BaseException) -> str:
     """What a plant raised, as the reason of its rows: in the same words here and in a child process."""
     return in_words(error)[:MOST_CHARACTERS]
+
+
+def place_of(op_id: str, known: Sequence[str], where: str, error: type[SeqsweepError] = SeqsweepError) -> int:
+    """Place of an operating point among those of ``known`` names; refused, with what there is, where it is not there.
+
+    Parameters
+    ----------
+    op_id : str
+        The name that was asked for.
+    known : sequence of str
+        The names there are.
+    where : str
+        What holds them, such as "the table".
+    error : class
+        Which error says so.
+    """
+    if op_id in known:
+        return known.index(op_id)
+    hint = nearest(op_id, known) if len(known) > MOST_NAMES else ""
+    names = ", ".join(known[:MOST_NAMES]) + (", ..." if len(known) > MOST_NAMES else "")
+    raise error(f"no operating point {op_id!r} in {where}{hint}; it has {names}")

@@ -22,7 +22,7 @@ from ..plant.registry import PlantCard
 from ..tuning.crossings import bode_crossings, critical_crossing
 from ..tuning.gain import GainSearch, search_gain
 from ..tuning.result import PointTuning, TuningResult, confirmed
-from ..tuning.siso import Grid
+from ..tuning.siso import SeriesRL
 from ..tuning.verdict import swept_band
 from .config.sections import Config
 from .measure.linearity import judged
@@ -64,6 +64,10 @@ def confirm(
         If the table holds no campaign, or its plant offers no damping control.
     """
     config = _campaign(configuration)
+    if not isinstance(result.grid, SeriesRL):
+        raise ConfirmError(
+            "damping control is set by the R and L of a grid; this one is another network: tune on its R+jX at f1"
+        )
     todo = [point for point in result.points if point.f_r_hz is not None]
     if not todo:
         raise ConfirmError("nothing to confirm: no operating point has a resonance to set the damping control to")
@@ -113,7 +117,7 @@ def _campaign(configuration: Mapping[str, Any]) -> Config:
     return Config.from_dict(configuration)
 
 
-def _margins(config: Config, grid: Grid, jobs: int, report: Report) -> Callable[[PointTuning, float], float]:
+def _margins(config: Config, grid: SeriesRL, jobs: int, report: Report) -> Callable[[PointTuning, float], float]:
     """m at the critical crossing of the device swept with damping gain k; kept, for a sweep is not asked twice."""
     known: dict[tuple[str, float], float] = {}
 
@@ -126,7 +130,7 @@ def _margins(config: Config, grid: Grid, jobs: int, report: Report) -> Callable[
     return margin_of
 
 
-def margin_with(config: Config, op_id: str, grid: Grid, k: float, f_r_hz: float | None, jobs: int) -> float:
+def margin_with(config: Config, op_id: str, grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int) -> float:
     """m of the reshaped device on ``grid``: infinite without a crossing, NaN where it cannot be swept."""
     response = sweep_with_damping(config, op_id, grid, k, f_r_hz, jobs)
     if np.count_nonzero(response.ok) < len(response) // 2:
@@ -138,7 +142,7 @@ def margin_with(config: Config, op_id: str, grid: Grid, k: float, f_r_hz: float 
 
 
 def sweep_with_damping(
-    config: Config, op_id: str, grid: Grid, k: float, f_r_hz: float | None, jobs: int
+    config: Config, op_id: str, grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int
 ) -> FrequencyResponse:
     """The device of ``config`` at ``op_id``, swept with damping gain ``k`` for ``grid`` (ohm, H) at ``f_r_hz``."""
     data = config.to_dict()

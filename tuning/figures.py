@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate_pn
+from ..identify.uncertainty import NORMAL_95
 from ..plant.errors import SeqsweepError
-from .intervals import NORMAL_95, relative_error_of_y1
+from .intervals import relative_error_of_y1
 from .result import PointTuning, TuningResult, with_doubt
 from .siso import Grid, Siso, siso
 from .verdict import swept_band
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_PAGE = (11.0, 8.5)
 _DEVICE = "C0"
 _GRID = "C3"
 _STYLE = {"lw": 1.3}
@@ -38,17 +40,41 @@ def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None
         If that operating point has no fit to draw.
     """
     point = result.worst if op_id is None else result.point(op_id)
-    _, stability = _fitted(point)
-    figure = _figure((11.0, 8.5))
-    title = f"{point.op_id}: {point.verdict} on {result.grid.at_f1.real:.4g} + j{result.grid.at_f1.imag:.4g} $\\Omega$"
-    pair = stability.closed_loop.resonance_hz
-    figure.suptitle(title if pair is None else f"{title}, resonance {pair[0]:.2f}/{pair[1]:.2f} Hz")
-    left, right = np.ravel(np.asarray(figure.subfigures(1, 2, width_ratios=[1.25, 1.0])))
-    _draw_bode(left.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2, 3, 2]}), point, result.grid)
-    upper, lower = right.subplots(2, 1)
-    _draw_locus(upper, point)
-    _draw_poles(lower, point)
+    figure = _figure(_PAGE)
+    _draw_page(_page(figure), point, result.grid)
     figure.savefig(path)
+
+
+def shown(result: TuningResult, ax: Any = None) -> Any:
+    """The worst operating point for a notebook, in axes (6,): Bode, locus, poles; a single pair takes the locus."""
+    if ax is not None and not isinstance(ax, np.ndarray):
+        _fitted(result.worst)
+        _draw_locus(ax, result.worst)
+        return ax
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = _page(plt.figure(figsize=_PAGE, layout="constrained"))
+    _draw_page(ax, result.worst, result.grid)
+    return ax
+
+
+def _page(figure: Figure) -> np.ndarray:
+    """Axes (6,): four of a Bode plot on the left, locus and poles on the right."""
+    left, right = np.ravel(np.asarray(figure.subfigures(1, 2, width_ratios=[1.25, 1.0])))
+    bode = left.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2, 3, 2]})
+    return np.concatenate([bode, right.subplots(2, 1)])
+
+
+def _draw_page(axes: np.ndarray, point: PointTuning, grid: Grid) -> None:
+    _, stability = _fitted(point)
+    title = f"{point.op_id}: {point.verdict} on {grid.at_f1.real:.4g} + j{grid.at_f1.imag:.4g} $\\Omega$"
+    pair = stability.closed_loop.resonance_hz
+    figure = axes[0].get_figure(root=True)
+    figure.suptitle(title if pair is None else f"{title}, resonance {pair[0]:.2f}/{pair[1]:.2f} Hz")
+    _draw_bode(axes[:4], point, grid)
+    _draw_locus(axes[4], point)
+    _draw_poles(axes[5], point)
 
 
 def bode_figure(point: PointTuning, grid: Grid) -> Figure:
@@ -84,7 +110,7 @@ def _fitted(point: PointTuning) -> tuple[RationalModel, Any]:
     return point.model, point.stability
 
 
-def _draw_bode(axes: Sequence[Axes], point: PointTuning, grid: Grid) -> None:
+def _draw_bode(axes: Sequence[Axes] | np.ndarray, point: PointTuning, grid: Grid) -> None:
     model, stability = _fitted(point)
     low, high = swept_band(model)
     low = max(low, 0.01 * high / 10.0)

@@ -16,12 +16,10 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
 from ..identify.frames import T_INVERSE, T, dq_to_pn
+from ..identify.uncertainty import NORMAL_95
 from .crossings import Crossing
 from .poles import closed_loop_poles, is_beyond
 from .siso import Grid, impedance_dq, impedance_pn, siso
-
-NORMAL_95 = 1.959964
-"""Standard errors on either side of a 95 % interval."""
 
 _LINEAR = 0.25  # ends may differ from the delta method's by this part of the half width
 _DRAWS = 400

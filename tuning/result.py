@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from ..identify.fit.rational import RationalModel
-from ..plant.errors import SeqsweepError
+from ..identify.uncertainty import NORMAL_95
+from ..plant.errors import place_of
 from .crossings import Crossing
 from .gain import GainSearch
-from .intervals import NORMAL_95, Interval
+from .intervals import Interval
 from .margins import LocusMargins, Participation
 from .siso import Grid
 from .verdict import Decision, Stability
@@ -105,7 +106,7 @@ class PointTuning:
         return None if self.stability is None else self.stability.closed_loop.resonance_hz
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class TuningResult:
     """Every operating point of a table on one grid.
 
@@ -132,12 +133,38 @@ class TuningResult:
         return min(self.points, key=_need)
 
     def point(self, op_id: str) -> PointTuning:
-        """The operating point of that name; ValueError where there is none."""
-        for point in self.points:
-            if point.op_id == op_id:
-                return point
-        known = ", ".join(p.op_id for p in self.points)
-        raise SeqsweepError(f"no operating point {op_id!r} in the tuning result; it has {known}")
+        """The operating point of that name; `SeqsweepError` where there is none."""
+        return self.points[place_of(op_id, [point.op_id for point in self.points], "the tuning result")]
+
+    def __repr__(self) -> str:
+        return format_table(self)
+
+    def __getitem__(self, op_id: str) -> PointTuning:
+        return self.point(op_id)
+
+    @property
+    def verdict(self) -> Decision:
+        """ "stable", "unstable" or "undecided": that of the operating point in greatest need."""
+        return self.worst.verdict
+
+    @property
+    def margin_m(self) -> float | None:
+        """m at the critical crossing of the operating point in greatest need."""
+        return self.worst.margin_m
+
+    @property
+    def k(self) -> float | None:
+        """Damping gain of the operating point in greatest need."""
+        return self.worst.k
+
+    def plot(self, ax: Any = None) -> Any:
+        """Bode, locus and poles of the operating point in greatest need, in matplotlib axes (6,), which are returned.
+
+        ``ax`` says where to draw: such axes, or a single one for the locus.
+        """
+        from .figures import shown
+
+        return shown(self, ax)
 
 
 def confirmed(result: TuningResult, op_id: str, search: GainSearch) -> TuningResult:

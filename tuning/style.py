@@ -1,93 +1,31 @@
-"""One look for every picture, and one way of a figure to its file.
+"""The look of every picture stands in `identify.views.style`; this name stays for one release."""
 
-matplotlib is imported when a figure is made.
-"""
+from ..identify.views.style import (
+    COLOURS,
+    DASHES,
+    DEVICE,
+    GRID,
+    QUIET,
+    SUFFIXES,
+    WARNING,
+    WIDTH_IN,
+    escaped,
+    grid_lines,
+    new_figure,
+    write_figure,
+)
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from ..identify.files import atomic_file
-from ..plant.errors import SeqsweepError
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-SUFFIXES = (".png", ".svg", ".pdf")
-
-WIDTH_IN = 7.16
-"""Width of a figure over two columns of a report (inches)."""
-
-# Dark to light, so that a grey copy still tells them apart, and by dashes besides.
-COLOURS = ("#000000", "#8c2d04", "#08519c", "#238b45", "#e6750a", "#7b9fd4")
-DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 1)))
-DEVICE, GRID, WARNING, QUIET = "#08519c", "#8c2d04", "#cb181d", "0.35"
-"""Colours with a meaning: the device, the grid, what needs attention, what is only there to help."""
-
-_RC: dict[Any, Any] = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 9.0,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 1.1,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "svg.hashsalt": "seqsweep",
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,
-}
-_WITHOUT_TIME: dict[str, dict[str, Any]] = {
-    ".png": {"Software": None},
-    ".svg": {"Date": None, "Creator": None},
-    ".pdf": {"CreationDate": None, "Producer": None, "Creator": None},
-}
-
-
-def write_figure(path: str | Path, make: Callable[[], Figure]) -> None:
-    """Make a figure and write it, atomically; equal figures give equal bytes.
-
-    Parameters
-    ----------
-    path : path
-        PNG, SVG or PDF by its suffix; replaced if it exists.
-    make : callable
-        Gives the figure; it is called once the suffix is known to be a good one.
-
-    Raises
-    ------
-    SeqsweepError
-        If the suffix is another one; nothing is drawn or written.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        given = f"given {suffix!r}" if suffix else "given none"
-        raise SeqsweepError(
-            f"{path}: the suffix decides the format of the plot; {given}, needed: {', '.join(SUFFIXES)}"
-        )
-    import matplotlib
-
-    with matplotlib.rc_context(_RC), atomic_file(path) as file:
-        make().savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
-
-
-def new_figure(height_in: float) -> Figure:
-    """An empty figure of the common width."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-
-
-def grid_lines(axes: Axes) -> None:
-    """Grid lines behind what is drawn, ticks inside."""
-    axes.grid(True, which="major", linewidth=0.4, color="0.8")
-    axes.grid(True, which="minor", linewidth=0.25, color="0.92")
-    axes.tick_params(which="both", top=False, right=True)
-    axes.set_axisbelow(True)
-
-
-def escaped(text: str) -> str:
-    """A name may hold a dollar sign; it does not start mathematics."""
-    return text.replace("$", r"\$")
+__all__ = [
+    "COLOURS",
+    "DASHES",
+    "DEVICE",
+    "GRID",
+    "QUIET",
+    "SUFFIXES",
+    "WARNING",
+    "WIDTH_IN",
+    "escaped",
+    "grid_lines",
+    "new_figure",
+    "write_figure",
+]

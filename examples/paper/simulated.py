@@ -9,7 +9,8 @@ from swept import SCR_1_8, Z_GRID
 from seqsweep.plant.damping.control import DampingSettings
 from seqsweep.plant.damping.events import Event, Fault, FaultKind, GridStep, Scenario, Trajectory, TurbineStep, simulate
 from seqsweep.plant.registry import make_plant
-from seqsweep.sweep.verify.verify import RunReport, has_equilibrium, report
+from seqsweep.sweep.verify.reading import RunReport, report
+from seqsweep.sweep.verify.runs import has_equilibrium
 
 SOURCE_V = 690.0
 STEP_S = 0.1

@@ -9,13 +9,15 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...plant.errors import place_of
+from ..read_only import read_only
 from ..response import FrequencyResponse
 from .format import (
     COLUMNS,
@@ -31,10 +33,13 @@ from .format import (
     unpack_covariance,
 )
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _HOW = "another tool's file becomes a table by `seqsweep import`, a recording by `seqsweep identify`"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Table:
     """A table in memory.
 
@@ -54,11 +59,40 @@ class Table:
         """Names of the operating points, in campaign order."""
         return tuple(response.meta["op_id"] for response in self.responses)
 
+    def __len__(self) -> int:
+        return len(self.responses)
+
+    def __iter__(self) -> Iterator[FrequencyResponse]:
+        return (self[op_id] for op_id in self.op_ids)
+
+    def __getitem__(self, op_id: str) -> FrequencyResponse:
+        """The response of one operating point; under ``meta["table"]`` it keeps what the table says of all of them."""
+        response = self.response(op_id)
+        shared = read_only(
+            {key: value for key, value in self.meta.items() if key not in ("operating_points", "sha256")}
+        )
+        return replace(response, meta={**response.meta, "table": shared})
+
+    def __repr__(self) -> str:
+        from ..views.words import table_in_a_line
+
+        return table_in_a_line(self.responses)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A pandas frame of all operating points, with the index (``op_id``, ``f_hz``)."""
+        import pandas as pd
+
+        return pd.concat({str(response.meta["op_id"]): response.to_dataframe() for response in self}, names=["op_id"])
+
+    def plot(self, ax: Any = None) -> Any:
+        """Bode plot of the first operating points, as `FrequencyResponse.plot`."""
+        from ..views.bode import shown
+
+        return shown(self.responses, ax)
+
     def response(self, op_id: str) -> FrequencyResponse:
         """The response of one operating point; `TableError` where there is none of that name."""
-        if op_id not in self.op_ids:
-            raise TableError(f"no operating point {op_id!r} in the table; it has {', '.join(self.op_ids)}")
-        return self.responses[self.op_ids.index(op_id)]
+        return self.responses[place_of(op_id, self.op_ids, "the table", TableError)]
 
 
 # Reading

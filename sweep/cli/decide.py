@@ -87,7 +87,7 @@ def verify(
     force: Force = False,
 ) -> None:
     """The same device in time, with and without damping control."""
-    from ..verify.runs import VerifyJob, verified
+    from ..verify.job import VerifyJob, verified
 
     check_outputs(output, force, plot)
     width = shutil.get_terminal_size((100, 24)).columns

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ...identify.exchange.convert import outgoing, to_table
 from ...identify.exchange.facts import ExchangeError, Facts, Found, check_file
-from ...identify.response import Frame
+from ...identify.response import Frame, FrequencyResponse
 from ...identify.table.read import read_table
 from ...identify.table.write import write_table
 from ...plant.errors import SeqsweepError
@@ -49,7 +49,19 @@ def export_table(
     """Write ``table`` in another format; what was written, and what was left out, in words."""
     content = read_table(table)
     responses = content.responses if op_id is None else (content.response(op_id),)
-    out = outgoing(responses, content.meta, frame)
+    return written(responses, content.meta, output, kind, frame, z0_ohm)
+
+
+def written(
+    responses: Sequence[FrequencyResponse],
+    meta: Mapping[str, Any],
+    output: Path,
+    kind: str,
+    frame: Frame,
+    z0_ohm: float | None,
+) -> str:
+    """Write responses of a table in another format; what was written, and what was left out, in words."""
+    out = outgoing(responses, meta, frame)
     if kind == "csv":
         from ...identify.exchange.text import write_csv
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from ...plant.registry import PlantCard
     from ..plan import Plan
 
-PLOT_SUFFIXES = (".png", ".svg", ".pdf")
-
 OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE, FAULT = range(6)
 """Exit statuses: done; done, but some rows are not ok; the input is wrong; interrupted; the machine failed us;
 the program itself is at fault."""
@@ -63,8 +61,9 @@ def check_plot(plot: Path | None) -> None:
     """Refuse a picture that cannot be drawn. An earlier one gives way unasked: the same command draws it again."""
     if plot is None:
         return
-    if plot.suffix.lower() not in PLOT_SUFFIXES:
-        raise WrongInput(f"{plot}: the suffix decides the format of the plot; needed: {', '.join(PLOT_SUFFIXES)}")
+    from ...identify.views.style import checked_suffix
+
+    checked_suffix(plot)
     check_new(plot, force=True)
 
 

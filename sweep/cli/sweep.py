@@ -101,7 +101,7 @@ def show(
     terminal = sys.stdout.isatty()
     typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
     if plot is not None:
-        from ..report.bode import bode
+        from ...identify.views.bode import bode
 
         drawn = bode(table, plot, op)
         typer.echo(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")

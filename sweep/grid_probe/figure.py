@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...identify.grid_impedance import GridImpedance
+from ...identify.uncertainty import NORMAL_95
+from ...identify.views.style import COLOURS, grid_lines, new_figure, write_figure
 from ...plant.errors import SeqsweepError
-from ...tuning.intervals import NORMAL_95
-from ...tuning.style import COLOURS, grid_lines, new_figure, write_figure
 from .probe import GridSeen
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ import numpy as np
 
 from ...identify.files import atomic_file
 from ...identify.grid_impedance import GridImpedance, identify_grid
+from ...identify.uncertainty import NORMAL_95
 from ...plant.errors import SeqsweepError, reason_of
 from ...plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ...plant.registry import PlantCard
-from ...tuning.intervals import NORMAL_95
 from ..config.sections import MAX_AMPLITUDE_PU
 from ..excitation.frequencies import coherent_block
 from ..excitation.odd_lines import SignalError

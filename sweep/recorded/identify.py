@@ -145,6 +145,21 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     IdentifyError, RecordingError, ManifestError
         If nothing can be identified.
     """
+    found = identified(request, jobs=jobs, say=say)
+    write_table(output, [found.response], found.meta)
+    return found.outcome
+
+
+class Identified(NamedTuple):
+    """What recordings gave: the response, the metadata that `write_table` completes, and how it went."""
+
+    response: FrequencyResponse
+    meta: dict[str, Any]
+    outcome: Outcome
+
+
+def identified(request: Request, *, jobs: int, say: Say = lambda text: None) -> Identified:
+    """`identify` without a file."""
     manifest = read_manifest(request.manifest) if request.manifest else None
     tasks, words = _tasks(request, manifest)
     for word in words:
@@ -161,9 +176,12 @@ def identify(request: Request, output: Path, *, jobs: int, say: Say = lambda tex
     rating = request.rating or (manifest.rating if manifest else _recorded_rating(seen, say))
     op_id = request.op_id or (manifest.op_id if manifest else "recorded")
     response = _response(points, f1_hz, {"op_id": op_id, **_operating_state(request, points, seen)})
-    write_table(output, [response], _metadata(request, manifest, tasks, response, rating, seen))
     left_out = sum(result.refusal is not None for result in results)
-    return Outcome(dict(Counter(point.status for point in points)), left_out)
+    return Identified(
+        response,
+        _metadata(request, manifest, tasks, response, rating, seen),
+        Outcome(dict(Counter(point.status for point in points)), left_out),
+    )
 
 
 # What to read

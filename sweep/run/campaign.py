@@ -7,7 +7,7 @@ kept is written by the runner, so that workers may be threads, processes or othe
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -99,19 +99,86 @@ def run(
     OSError
         If the machine refuses; what was measured stays in the shards.
     """
-    backend = backend or ("threading" if plan.isolate or releases_gil(plant) else "loky")
     folder = shards.folder_of(output)
     with shards.locked(folder):
         if not discard:
             _refuse_strangers(plan, folder)
-        tell = _resumption(plan, say)
-        bring = partial(
-            _measure_missing, plant=plant, folder=folder, jobs=jobs, backend=backend, scheduler=scheduler, tell=tell
-        )
-        batches, certificates = _measure_all(plan, folder, bring, report)
-        outcome = _assemble(plan, plant, batches, certificates, folder, output)
+        swept = _swept(plan, plant, shards.Folder(folder), Workers(jobs, backend, scheduler), report, say)
+        statuses: dict[str, int] = {}
+        write_table(output, _counted(swept.responses(), statuses), swept.metadata())
         shards.remove(folder)
-    return outcome
+    return Outcome(statuses, swept.remarks)
+
+
+def sweep_in_memory(
+    plan: Plan,
+    plant: Plant | PlantCard,
+    *,
+    jobs: int,
+    backend: str | None = None,
+    report: Report = lambda done, total, share: None,
+) -> Swept:
+    """`run` without a file: results are kept in memory, and nothing is left on the disk.
+
+    Raises
+    ------
+    Interrupted
+        If it is interrupted; with what was measured until then.
+    """
+    store = shards.Memory()
+    try:
+        return _swept(plan, plant, store, Workers(jobs, backend, None), report, lambda text: None)
+    except KeyboardInterrupt:
+        known = [batch for batch, result in store.kept.values() if batch.amplitude_pu == plan.amplitude_pu]
+        raise Interrupted(Swept(plan, plant, store, known, {})) from None
+
+
+class Interrupted(KeyboardInterrupt):
+    """A sweep in memory that was interrupted.
+
+    Attributes
+    ----------
+    swept : Swept
+        What was measured until then.
+    """
+
+    def __init__(self, swept: Swept):
+        super().__init__("interrupted")
+        self.swept = swept
+
+
+class Workers(NamedTuple):
+    """How many work at once, and as what; None: as suits the plant."""
+
+    jobs: int
+    backend: str | None
+    scheduler: str | None
+
+    def backend_for(self, plan: Plan, plant: Plant | PlantCard) -> str:
+        """The backend that was asked for, else threads for plants that release the lock or run isolated."""
+        return self.backend or ("threading" if plan.isolate or releases_gil(plant) else "loky")
+
+
+def _swept(
+    plan: Plan,
+    plant: Plant | PlantCard,
+    store: shards.Store,
+    workers: Workers,
+    report: Report,
+    say: Callable[[str], None],
+) -> Swept:
+    """Every batch of the plan measured, or found in the store."""
+    bring = partial(_measure_missing, plant=plant, store=store, workers=workers, tell=_resumption(plan, say))
+    batches, certificates = _measure_all(plan, store, bring, report)
+    return Swept(plan, plant, store, batches, certificates)
+
+
+def _counted(responses: Iterable[FrequencyResponse], statuses: dict[str, int]) -> Iterator[FrequencyResponse]:
+    """Pass the responses on, and count their rows by status."""
+    for response in responses:
+        for status in np.asarray(response.status).tolist():
+            statuses[status] = statuses.get(status, 0) + 1
+        yield response
 
 
 def _refuse_strangers(plan: Plan, folder: Path) -> None:
@@ -129,13 +196,13 @@ def _refuse_strangers(plan: Plan, folder: Path) -> None:
 
 
 def _measure_all(
-    plan: Plan, folder: Path, bring: Callable[..., None], report: Report
+    plan: Plan, store: shards.Store, bring: Callable[..., None], report: Report
 ) -> tuple[list[Batch], dict[str, dict[str, Any]]]:
     """Bring every batch, those of an adaptive grid round after round; and what its last round certifies, by op_id.
 
     Rounds follow from the rows alone, so that a run that goes on where another was ended asks the same questions.
     """
-    batches_of = _at_one_amplitude(plan) if not plan.automatic else _at_balanced_amplitudes(plan, folder, bring)
+    batches_of = _at_one_amplitude(plan) if not plan.automatic else _at_balanced_amplitudes(plan, store, bring)
     if plan.adaptive is None:
         batches = batches_of(plan.points)
         bring(plan, batches, report=report)
@@ -150,7 +217,7 @@ def _measure_all(
         bring(plan, of_round, report=_further(report, len(points) * len(plan.conditions), most))
         batches += of_round
         points += fresh
-        responses = list(_responses(plan, _batches_by_condition(plan, batches), folder, {}))
+        responses = list(_responses(plan, batches, store))
         decision = decide(responses, decision, band_hz, asked.tolerance)
         fresh = next_round(decision.nu_hz, points, asked, plan.f1_hz, plan.block)
     report(len(points) * len(plan.conditions), len(points) * len(plan.conditions), 1.0)
@@ -166,14 +233,13 @@ def _at_one_amplitude(plan: Plan) -> BatchesOf:
     return lambda points: list(replace(plan, points=tuple(points)).batches())
 
 
-def _at_balanced_amplitudes(plan: Plan, folder: Path, bring: Callable[..., None]) -> BatchesOf:
+def _at_balanced_amplitudes(plan: Plan, store: shards.Store, bring: Callable[..., None]) -> BatchesOf:
     """Sweep the pilots, and let them speak for every point."""
     asked = pilots(plan)
     steps = [list(part.batches()) for part in asked.plans]
     bring(plan, [batch for step in steps for batch in step], report=lambda done, total, share: None)
     ladder = [
-        {op_id: _rows(folder, batches) for op_id, batches in _batches_by_condition(plan, step).items()}
-        for step in steps
+        {op_id: _rows(store, batches) for op_id, batches in _batches_by_condition(plan, step).items()} for step in steps
     ]
     levels = chosen(asked, ladder)
     return lambda points: [batch for part in parts(plan, points, asked, levels) for batch in part.batches()]
@@ -210,22 +276,20 @@ def _measure_missing(
     plan: Plan,
     batches: Sequence[Batch],
     plant: Plant | PlantCard,
-    folder: Path,
-    jobs: int,
-    backend: str,
-    scheduler: str | None,
+    store: shards.Store,
+    workers: Workers,
     tell: Callable[[int, int], None],
     report: Report,
 ) -> None:
-    """Bring the shard of every batch into the folder."""
+    """Bring the result of every batch into the store."""
     total, work = sum(len(batch.points) for batch in batches), sum(_work(batch.points) for batch in batches)
-    missing = [batch for batch in batches if shards.read(folder, batch.key) is None]
+    missing = [batch for batch in batches if store.read(batch) is None]
     done = total - sum(len(batch.points) for batch in missing)
     left = sum(_work(batch.points) for batch in missing)
     tell(done, total - done)
     report(done, total, 1.0 - left / work)
-    for batch, result in _results(plan, plant, missing, jobs, backend, scheduler):
-        shards.write(folder, batch.key, result)
+    for batch, result in _results(plan, plant, missing, workers):
+        store.write(batch, result)
         done += len(batch.points)
         left -= _work(batch.points)
         report(done, total, 1.0 - left / work)
@@ -240,7 +304,7 @@ def _work(points: Sequence[Frequency]) -> int:
 
 
 def _results(
-    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
+    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], workers: Workers
 ) -> Iterator[tuple[Batch, BatchResult]]:
     """Results as they come; a lost worker costs what it was at."""
     left = {batch.key: batch for batch in batches}
@@ -248,9 +312,9 @@ def _results(
         if not left:
             return
         try:
-            for key, result in _parallel(plan, plant, list(left.values()), jobs, backend, scheduler):
+            for key, result in _parallel(plan, plant, list(left.values()), workers):
                 yield left.pop(key), result
-        except _lost_workers(backend):
+        except _lost_workers(workers.backend_for(plan, plant)):
             continue
     if left:
         raise OSError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left")
@@ -270,11 +334,12 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
 
 
 def _parallel(
-    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], jobs: int, backend: str, scheduler: str | None
+    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], workers: Workers
 ) -> Iterator[tuple[str, BatchResult]]:
     from joblib import Parallel, delayed, parallel_config
 
-    cluster = _dask_client(jobs, scheduler) if backend == "dask" else nullcontext()
+    jobs, backend = workers.jobs, workers.backend_for(plan, plant)
+    cluster = _dask_client(jobs, workers.scheduler) if backend == "dask" else nullcontext()
     with cluster, _worker(plan, plant, jobs, backend) as work, parallel_config(backend=backend, n_jobs=jobs):
         pool = Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
         yield from pool(delayed(work)(batch) for batch in batches)
@@ -334,23 +399,50 @@ def _in_process(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
 # The table
 
 
-def _assemble(
-    plan: Plan,
-    plant: Plant | PlantCard,
-    batches: Sequence[Batch],
-    certificates: Mapping[str, dict[str, Any]],
-    folder: Path,
-    output: Path,
-) -> Outcome:
-    """The table from the shards, one operating point in memory at a time."""
-    by_condition = _batches_by_condition(plan, batches)
-    statuses: dict[str, int] = {}
-    meta = _metadata(plan, plant, by_condition, folder)
-    for entry in meta["operating_points"]:
-        if entry["op_id"] in certificates:
-            entry["interpolation"] = certificates[entry["op_id"]]
-    write_table(output, _responses(plan, by_condition, folder, statuses), meta)
-    return Outcome(statuses, tuple(f"{name}: {certificate_text(c, plan.f1_hz)}" for name, c in certificates.items()))
+class Swept(NamedTuple):
+    """A campaign that was measured: what its table is made of, one operating point in memory at a time.
+
+    Attributes
+    ----------
+    plan, plant
+        What was asked, and of whom.
+    store : Store
+        Where the results of the batches are.
+    batches : list of Batch
+        All of them.
+    certificates : mapping
+        What the last round of an adaptive grid certifies, by op_id.
+    """
+
+    plan: Plan
+    plant: Plant | PlantCard
+    store: shards.Store
+    batches: list[Batch]
+    certificates: Mapping[str, dict[str, Any]]
+
+    def responses(self) -> Iterator[FrequencyResponse]:
+        """One for every operating point that has rows, in campaign order."""
+        return _responses(self.plan, self.batches, self.store)
+
+    def metadata(self) -> dict[str, Any]:
+        """Metadata of the table, as `write_table` takes it."""
+        by_condition = _batches_by_condition(self.plan, self.batches)
+        meta = _metadata(self.plan, self.plant, by_condition, self.store)
+        for entry in meta["operating_points"]:
+            if entry["op_id"] in self.certificates:
+                entry["interpolation"] = self.certificates[entry["op_id"]]
+        return meta
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What an adaptive grid has to say of each operating point."""
+        return tuple(f"{name}: {certificate_text(c, self.plan.f1_hz)}" for name, c in self.certificates.items())
+
+
+def _responses(plan: Plan, batches: Sequence[Batch], store: shards.Store) -> Iterator[FrequencyResponse]:
+    for op_id, own in _batches_by_condition(plan, batches).items():
+        if own:
+            yield response_of(plan, op_id, judged(_rows(store, own), plan.nonlinear_above))
 
 
 def _batches_by_condition(plan: Plan, batches: Sequence[Batch]) -> dict[str, list[Batch]]:
@@ -360,25 +452,15 @@ def _batches_by_condition(plan: Plan, batches: Sequence[Batch]) -> dict[str, lis
     return found
 
 
-def _responses(
-    plan: Plan, by_condition: dict[str, list[Batch]], folder: Path, statuses: dict[str, int]
-) -> Iterator[FrequencyResponse]:
-    for op_id, batches in by_condition.items():
-        rows = judged(_rows(folder, batches), plan.nonlinear_above)
-        for row in rows:
-            statuses[row.status] = statuses.get(row.status, 0) + 1
-        yield response_of(plan, op_id, rows)
-
-
-def _rows(folder: Path, batches: Sequence[Batch]) -> list[Row]:
+def _rows(store: shards.Store, batches: Sequence[Batch]) -> list[Row]:
     """Rows of some batches, ascending in frequency."""
-    return sorted((row for batch in batches for row in _shard(folder, batch).rows), key=lambda row: row.f_hz)
+    return sorted((row for batch in batches for row in _kept(store, batch).rows), key=lambda row: row.f_hz)
 
 
-def _shard(folder: Path, batch: Batch) -> BatchResult:
-    result = shards.read(folder, batch.key)
+def _kept(store: shards.Store, batch: Batch) -> BatchResult:
+    result = store.read(batch)
     if result is None:
-        raise OSError(f"{folder}: a shard was damaged or removed after it was written; run again to measure it anew")
+        raise OSError(f"{store}: a shard was damaged or removed after it was written; run again to measure it anew")
     return result
 
 
@@ -399,15 +481,16 @@ def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyRespons
 
 
 def _metadata(
-    plan: Plan, plant: Plant | PlantCard, by_condition: dict[str, list[Batch]], folder: Path
+    plan: Plan, plant: Plant | PlantCard, by_condition: dict[str, list[Batch]], store: shards.Store
 ) -> dict[str, Any]:
     return {
         "f1_hz": plan.f1_hz,
         "bases": {"rated_voltage_v": plant.rating.voltage_v, "rated_power_va": plant.rating.power_va},
         "power_meaning": plant.power_meaning,
         "operating_points": [
-            _condition_metadata(condition, plant, _shard(folder, by_condition[condition.op_id][0]).condition)
+            _condition_metadata(condition, plant, _kept(store, by_condition[condition.op_id][0]).condition)
             for condition in plan.conditions
+            if by_condition[condition.op_id]
         ],
         "configuration": dict(plan.configuration),
         "plant": dict(plan.plant_fingerprint),

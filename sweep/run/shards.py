@@ -15,9 +15,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from math import isnan, nan
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple, Protocol
 
 from ..measure.rows import BatchResult, Row
+from ..plan import Batch
 
 
 class OutputInUse(OSError):
@@ -60,6 +61,45 @@ def _still_there(file: IO[str], path: Path) -> bool:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:
         return False
+
+
+class Store(Protocol):
+    """Where the results of batches are kept while a campaign runs."""
+
+    def read(self, batch: Batch) -> BatchResult | None:
+        """The result of a batch; None where there is none, or it is damaged."""
+
+    def write(self, batch: Batch, result: BatchResult) -> None:
+        """Keep the result of a batch."""
+
+
+class Folder(NamedTuple):
+    """Results as shards in a folder: they outlive the run."""
+
+    path: Path
+
+    def read(self, batch: Batch) -> BatchResult | None:
+        return read(self.path, batch.key)
+
+    def write(self, batch: Batch, result: BatchResult) -> None:
+        write(self.path, batch.key, result)
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+class Memory:
+    """Results in memory, for a run whose table nobody asked for."""
+
+    def __init__(self) -> None:
+        self.kept: dict[str, tuple[Batch, BatchResult]] = {}
+
+    def read(self, batch: Batch) -> BatchResult | None:
+        kept = self.kept.get(batch.key)
+        return None if kept is None else kept[1]
+
+    def write(self, batch: Batch, result: BatchResult) -> None:
+        self.kept[batch.key] = batch, result
 
 
 def write(folder: Path, key: str, result: BatchResult) -> None:

@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ...identify.views.style import new_figure, opened_figure, write_figure
 from ...plant.damping.events import Event, Fault, Trajectory
-from ...tuning.style import new_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .verify import Verification
+    from .runs import Verification
 
 _WITHOUT: dict[str, Any] = {"color": "#f2a35c", "lw": 1.8, "zorder": 2}  # wide and light: seen beneath a dark twin
 _WITH: dict[str, Any] = {"color": "#08306b", "lw": 1.1, "zorder": 3}
+
+
+HEIGHT_IN = 7.2
 
 
 class Curve(NamedTuple):
@@ -44,8 +47,26 @@ def plot(result: Verification, path: str | Path) -> None:
 
 def verification_figure(result: Verification) -> Figure:
     """The figure that `plot` writes."""
-    figure = new_figure(7.2)
-    axes = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [1.1, 1.1, 1, 1]})
+    figure = new_figure(HEIGHT_IN)
+    draw(panels(figure), result)
+    return figure
+
+
+def shown(result: Verification, ax: Any = None) -> Any:
+    """The figure for a notebook: drawn into axes (4,), or a figure that is opened for them."""
+    if ax is None:
+        ax = panels(opened_figure(HEIGHT_IN))
+    draw(ax, result)
+    return ax
+
+
+def panels(figure: Figure) -> np.ndarray:
+    """Axes (4,) for `draw`, one below the other."""
+    return np.asarray(figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [1.1, 1.1, 1, 1]}))
+
+
+def draw(axes: np.ndarray, result: Verification) -> None:
+    """Draw power, resonance current, r(t) and frequency of both runs into axes (4,), and name their figure."""
     curves = (
         Curve("without damping control", result.without, _WITHOUT),
         Curve(f"with damping control, k = {result.settings.k:.3g}", result.damped, _WITH),
@@ -61,6 +82,7 @@ def verification_figure(result: Verification) -> Figure:
     axes[3].set_xlabel("t (s)")
     axes[3].set_xlim(0.0, result.duration_s)
     handles, labels = axes[0].get_legend_handles_labels()
+    figure = axes[0].figure
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     grid = result.tuned.grid
     figure.suptitle(
@@ -68,7 +90,6 @@ def verification_figure(result: Verification) -> Figure:
         rf"tuned grid {grid.r_ohm:.3g} + j{grid.x_ohm:.3g} $\Omega$",
         fontsize=10,
     )
-    return figure
 
 
 def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:

@@ -1,62 +1,150 @@
-"""The whole of `seqsweep verify` as one job, done here or, for a foreign device, in a child that holds it."""
+"""The proof in time: the same device with and without damping control, through the same scenario.
+
+`verify` takes what `tune` found (grid, k, w_r and the campaign in its provenance) and drives the
+device through a grid step, or what a scenario file says, twice. Every number is read from terminals.
+"""
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from ...identify.table.read import read_table
-from ...plant.protocol import Plant
-from ...plant.registry import PlantSpec, runs_isolated
-from ..run.child import ChildFailed, child
-from .scenario import read_story
-from .verify import VerifyError, cause_gone_of, format_report, read_tuning, tuned_of, verify, write_json
+import numpy as np
 
-VERIFY_S = 3600.0
-"""Wall time (s) that both runs of a foreign device may take."""
+from ...plant.damping.control import DampingSettings
+from ...plant.damping.events import Scenario, Trajectory, conditions_at, simulate
+from ...plant.errors import in_words
+from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
+from ...tuning.siso import SeriesRL
+from .reading import RunReport, report
+from .scenario import Story
+from .tuned import Tuned, VerifyError, scenario_of, settings_of
 
+if TYPE_CHECKING:
+    from ...identify.response import FrequencyResponse
 
-class VerifyJob(NamedTuple):
-    """What the command was called with: files, and the width of the terminal."""
-
-    tuning: Path
-    table: Path | None
-    op: str | None
-    scenario: Path | None
-    output: Path | None
-    plot: Path | None
-    width: int
+CauseGone = Callable[[Conditions], bool]
 
 
-def verified(job: VerifyJob) -> str:
-    """Do it, and give the report as text.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Verification:
+    """Both runs; ``remarks`` say what the reader should know. Printed, it is the report of ``seqsweep verify``."""
+
+    tuned: Tuned
+    scenario: Scenario
+    settings: DampingSettings
+    duration_s: float
+    without: Trajectory
+    damped: Trajectory
+    reports: tuple[RunReport, RunReport]
+    remarks: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        from .report import format_report
+
+        return format_report(self)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Power, resonance current, r(t) and frequency of both runs, in matplotlib axes (4,), which are returned."""
+        from .figure import shown
+
+        return shown(self, ax)
+
+
+def cause_gone_of(response: FrequencyResponse) -> CauseGone:
+    """The check by which damping control stops: the winding number of the swept device on the grid of the moment."""
+    from ...identify.fit.model import fit_response
+    from ...tuning.verdict import judge
+
+    model = fit_response(response)
+
+    def gone(conditions: Conditions) -> bool:
+        x_ohm = 2.0 * np.pi * model.f1_hz * conditions.l_h
+        return judge(model, SeriesRL(conditions.r_ohm, x_ohm, model.f1_hz)).verdict == "stable"
+
+    return gone
+
+
+def verify(tuned: Tuned, story: Story | None = None, cause_gone: CauseGone | None = None) -> Verification:
+    """Drive the device through the story without and with damping control.
+
+    Parameters
+    ----------
+    tuned : Tuned
+        From `tuned_of`.
+    story : Story, optional
+        Default: the grid steps from 1.2/1.4 of the tuned impedance to all of it at 0.1 s.
+    cause_gone : callable, optional
+        Says where damping control may stop, see `cause_gone_of`; without it, it stays.
 
     Raises
     ------
     VerifyError
-        If it cannot be done as asked, or a foreign device does not survive it.
+        If there is no state to begin from, or the device gives up on the way.
     """
-    section = read_tuning(job.tuning)["provenance"]["table"].get("configuration", {}).get("plant")
-    if section is None or not runs_isolated(section["id"], section.get("isolate")):
-        return _done(job)
-    spec = PlantSpec(section["id"], section.get("parameters", {}))
+    story = story or Story()
+    return compare(tuned, scenario_of(tuned, story), settings_of(tuned), story.duration_s, cause_gone)
+
+
+def compare(
+    tuned: Tuned,
+    scenario: Scenario,
+    settings: DampingSettings,
+    duration_s: float,
+    cause_gone: CauseGone | None = None,
+) -> Verification:
+    """Both runs of a scenario, reported."""
+    without = _driven("without", tuned.plant, scenario, None, duration_s)
+    damped = _driven("with", tuned.plant, scenario, settings, duration_s, cause_gone)
+    reports = tuple(report(trajectory, scenario.events, settings.threshold) for trajectory in (without, damped))
+    remarks = tuple(_remarks(tuned, scenario, duration_s, without))
+    return Verification(tuned, scenario, settings, duration_s, without, damped, reports, remarks)  # type: ignore[arg-type]
+
+
+def _driven(
+    how: str,
+    plant: Plant,
+    scenario: Scenario,
+    settings: DampingSettings | None,
+    duration_s: float,
+    cause_gone: CauseGone | None = None,
+) -> Trajectory:
+    """One run; a device that gives up on the way is told in its own words."""
     try:
-        with child(spec) as asked:
-            return asked.ask(partial(_done, job), VERIFY_S, f"verifying took longer than {VERIFY_S:g} s of wall time")
-    except ChildFailed as failure:
-        raise VerifyError(str(failure)) from None
+        return simulate(plant, scenario, settings, duration_s, cause_gone=cause_gone)
+    except NotSettled as refusal:
+        raise VerifyError(f"the scenario has no state to begin from: {refusal}") from None
+    except ValueError:
+        raise
+    except Exception as error:
+        raise VerifyError(
+            f"the run {how} damping control does not come to its end: {in_words(error)}; a shorter duration_s in a "
+            "scenario file shows what goes before"
+        ) from None
 
 
-def _done(job: VerifyJob, plant: Plant | None = None) -> str:
-    """Both runs, and the files that were asked for; the device is made from the tuning, wherever this is."""
-    tuned = tuned_of(read_tuning(job.tuning), job.op)
-    cause_gone = None if job.table is None else cause_gone_of(read_table(job.table).response(tuned.op_id))
-    result = verify(tuned, None if job.scenario is None else read_story(job.scenario), cause_gone)
-    if job.output is not None:
-        write_json(result, job.output)
-    if job.plot is not None:
-        from .figure import plot as draw
+def has_equilibrium(plant: Plant, scenario: Scenario, time_s: float) -> bool:
+    """Whether the device has a periodic state, stable or not, on what surrounds it at ``time_s``."""
+    assert isinstance(plant, MeasuredPlant)
+    now = conditions_at(scenario, time_s)
+    source = Source("thevenin", now.r_ohm, now.l_h, voltage_v=scenario.source_voltage_v)
+    try:
+        plant.equilibrium(OperatingPoint(scenario.active_power_w * now.power_scale, None), source)
+    except (NotSettled, ValueError):
+        return False
+    return True
 
-        draw(result, job.plot)
-    return format_report(result, job.width)
+
+def _remarks(tuned: Tuned, scenario: Scenario, duration_s: float, without: Trajectory) -> Iterable[str]:
+    if not has_equilibrium(tuned.plant, scenario, duration_s):
+        yield (
+            "no operating point that carries this power was found on the grid after the events: where there is none, "
+            "no control can find one"
+        )
+    if tuned.k == 0.0:
+        yield "k is 0: the tuning asks for no damping, both runs are the same"
+    first = min((event.time_s for event in scenario.events), default=duration_s)
+    before = without.ratio[without.decision_s <= first]
+    if np.any(before > 1e-3):
+        yield "it resonates before the first event: the beginning is unstable"

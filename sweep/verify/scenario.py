@@ -77,7 +77,7 @@ def read_story(path: str | Path) -> Story:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: not TOML: {error}") from None
     try:
-        return _story(data)
+        return story_of(data)
     except ValueError as error:
         raise ScenarioError(f"{path}: {error}") from None
 
@@ -92,7 +92,8 @@ _KINDS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _story(data: Mapping[str, Any]) -> Story:
+def story_of(data: Mapping[str, Any]) -> Story:
+    """The story that the content of a scenario file tells; `ScenarioError` where it makes no sense."""
     _refuse_unknown(data, (*_NUMBERS, "event"), "the scenario")
     values = {key: _number(data, key, "the scenario") for key in _NUMBERS if key in data}
     if "active_power_mw" in values:

@@ -41,7 +41,9 @@ from seqsweep.plant.protocol import (
 )
 from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, LINE_X_OHM, TABLE_I
 from seqsweep.plant.turbine.reference import ReferenceTurbine
-from seqsweep.sweep.verify.verify import Tuned, VerifyError, compare, report
+from seqsweep.sweep.verify.reading import report
+from seqsweep.sweep.verify.runs import compare
+from seqsweep.sweep.verify.tuned import Tuned, VerifyError
 from seqsweep.tuning.siso import SeriesRL
 
 from ..plant.test_grey import LINE, POINT, plant

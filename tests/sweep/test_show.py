@@ -12,9 +12,9 @@ import pytest
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.format import TableError
 from seqsweep.identify.table.write import write_table
-from seqsweep.sweep.report.bode import MAX_OVERLAID, _without_streaks, bode, bode_figure
+from seqsweep.identify.views.bode import MAX_OVERLAID, _without_streaks, bode, bode_figure
+from seqsweep.identify.views.style import SUFFIXES
 from seqsweep.sweep.report.summary import LISTED_UP_TO, MIN_WIDTH, summary
-from seqsweep.tuning.style import SUFFIXES
 
 from ..support import oracle
 
@@ -185,7 +185,7 @@ def test_another_suffix_is_refused_and_nothing_is_written(one: Path, tmp_path: P
 
 
 def test_an_unknown_operating_point_is_refused_and_nothing_is_written(one: Path, tmp_path: Path) -> None:
-    with pytest.raises(TableError, match=r"no operating point 'p66' to draw; there are p065"):
+    with pytest.raises(TableError, match=r"no operating point 'p66' in what is to be drawn; it has p065"):
         bode(one, tmp_path / "bode.png", "p66")
     assert not list(tmp_path.iterdir())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 
@@ -17,21 +18,10 @@ from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.plan import make_plan
 from seqsweep.sweep.run import campaign
 from seqsweep.sweep.verify.figure import plot, resonance_current, verification_figure
+from seqsweep.sweep.verify.report import SCHEMA_FILE, format_report, to_json
+from seqsweep.sweep.verify.runs import cause_gone_of, compare, has_equilibrium, verify
 from seqsweep.sweep.verify.scenario import ScenarioError, Story, read_story
-from seqsweep.sweep.verify.verify import (
-    SCHEMA_FILE,
-    VerifyError,
-    cause_gone_of,
-    compare,
-    format_report,
-    has_equilibrium,
-    read_tuning,
-    scenario_of,
-    settings_of,
-    to_json,
-    tuned_of,
-    verify,
-)
+from seqsweep.sweep.verify.tuned import VerifyError, read_tuning, scenario_of, settings_of, tuned_of
 from seqsweep.tuning.result import write_json
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
@@ -249,7 +239,7 @@ def test_scenario_file_knows_every_event(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("scael = 1.0", "the scenario has no 'scael'; did you mean 'scale'"),
+        ("scael = 1.0", "the scenario has no 'scael' (did you mean 'scale'"),
         ("scale = true", "scale is True; a number is needed"),
         ("scale =", "not TOML"),
         ("event = 3", "double brackets"),
@@ -261,5 +251,5 @@ def test_scenario_file_knows_every_event(tmp_path):
 def test_scenario_file_that_cannot_be_followed_is_refused(tmp_path, text, words):
     path = tmp_path / "s.toml"
     path.write_text(text)
-    with pytest.raises(ScenarioError, match=words.replace("[", r"\[")):
+    with pytest.raises(ScenarioError, match=re.escape(words)):
         read_story(path)

@@ -12,21 +12,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...identify.fit.adaptive import MIN_ROWS, interpolate
-from ...identify.response import FrequencyResponse
-from ...identify.table.format import TableError
-from ...identify.table.read import iter_responses, read_metadata
-from ...plant.errors import SeqsweepError
-from ...tuning.intervals import NORMAL_95
-from ...tuning.style import COLOURS, DASHES, WARNING, escaped, grid_lines, new_figure, write_figure
+from ...plant.errors import SeqsweepError, place_of
+from ..fit.adaptive import MIN_ROWS, interpolate
+from ..response import FrequencyResponse
+from ..table.format import TableError
+from ..table.read import iter_responses, read_metadata
+from ..uncertainty import NORMAL_95
+from .style import COLOURS, DASHES, WARNING, escaped, grid_lines, new_figure, opened_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MAX_OVERLAID = 6
+HEIGHT_IN = 7.0
 
 _TITLES = ("$Y_{pp}$", "$Y_{pn}$", "$Y_{np}$", "$Y_{nn}$")
+_TITLES_DQ = ("$Y_{dd}$", "$Y_{dq}$", "$Y_{qd}$", "$Y_{qq}$")
 _MEANINGS = (
     r"$I(f)$ per $V(f)$",
     r"$I(f)$ per conj $V(2f_1{-}f)$",
@@ -79,11 +81,28 @@ def bode(
 
 def bode_figure(responses: Sequence[FrequencyResponse], title: str = "") -> Figure:
     """The figure that `bode` writes."""
+    figure = new_figure(HEIGHT_IN)
+    draw_bode(panels(figure), responses)
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def panels(figure: Figure) -> np.ndarray:
+    """Axes (4, 2) for `draw_bode`: magnitude above phase, twice, as the elements stand in the matrix."""
+    return np.asarray(figure.subplots(4, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]}))
+
+
+def draw_bode(axes: np.ndarray, responses: Sequence[FrequencyResponse]) -> None:
+    """Draw magnitude and phase of every response into axes (4, 2), and the legend into their figure.
+
+    Raises
+    ------
+    SeqsweepError
+        If a response is not in the pn frame.
+    """
     if wrong := next((response.frame for response in responses if response.frame != "pn"), None):
         raise SeqsweepError(f"the plot shows the pn frame, a response is in {wrong!r}: convert it first")
     curves = [_Curve(_label(r), r, c, d, _certified(r)) for r, c, d in zip(responses, COLOURS, DASHES, strict=False)]
-    figure = new_figure(7.0)
-    axes = figure.subplots(4, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]})
     for element in range(4):
         row, column = divmod(element, 2)
         _draw_element(axes[2 * row, column], axes[2 * row + 1, column], curves, element)
@@ -94,9 +113,41 @@ def bode_figure(responses: Sequence[FrequencyResponse], title: str = "") -> Figu
     _same_scale([axes[row, column] for row in (0, 2) for column in (0, 1)], responses)
     for row in range(4):
         axes[row, 0].set_ylabel("Phase (deg)" if row % 2 else "Magnitude (S)")
-    figure.suptitle(title, fontsize=10)
-    _legend(figure, curves)
-    return figure
+    _legend(axes[0, 0].figure, curves)
+
+
+def draw_magnitudes(axes: Axes, response: FrequencyResponse) -> None:
+    """Draw the magnitudes (S) of the four elements into one pair of axes; rows that are not ok are left out."""
+    good = np.where(response.ok[:, None, None], response.y, complex(np.nan, np.nan)).reshape(-1, 4)
+    for k, name in enumerate(_TITLES if response.frame == "pn" else _TITLES_DQ):
+        axes.plot(response.f_hz, np.abs(good[:, k]), color=COLOURS[k], linestyle=DASHES[k], label=name)
+    axes.set_xscale("log" if response.frame == "pn" else "symlog")
+    axes.set_yscale("log")
+    axes.set_xlabel("f (Hz)" if response.frame == "pn" else "$f - f_1$ (Hz)")
+    axes.set_ylabel("Magnitude (S)")
+    axes.legend(fontsize=8)
+    grid_lines(axes)
+
+
+def shown(responses: Sequence[FrequencyResponse], ax: Any = None) -> Any:
+    """The responses drawn for a notebook: matplotlib axes, those of ``ax`` where they are given.
+
+    Parameters
+    ----------
+    responses : sequence of FrequencyResponse
+        Laid over each other, up to `MAX_OVERLAID`; a single one in the dq frame is drawn as magnitudes.
+    ax : matplotlib axes or array (4, 2) of them, optional
+        Where to draw: one pair of axes takes magnitudes, eight take the Bode plot. Without it a figure is opened.
+    """
+    if ax is None and any(response.frame != "pn" for response in responses):
+        ax = opened_figure(0.5 * HEIGHT_IN).subplots()
+    if ax is not None and not isinstance(ax, np.ndarray):
+        for response in responses:
+            draw_magnitudes(ax, response)
+        return ax
+    axes = panels(opened_figure(HEIGHT_IN)) if ax is None else ax
+    draw_bode(axes, responses[:MAX_OVERLAID])
+    return axes
 
 
 # What is drawn
@@ -113,10 +164,8 @@ def _chosen(
     else:
         given = [table] if isinstance(table, FrequencyResponse) else list(table)
         meta, names, responses = {}, [str(response.meta["op_id"]) for response in given], iter(given)
-    if op_id is not None and op_id not in names:
-        known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
-        raise TableError(f"no operating point {op_id!r} to draw; there are {known}")
     if op_id is not None:
+        place_of(op_id, names, "what is to be drawn", TableError)
         responses = (response for response in responses if response.meta["op_id"] == op_id)
     wanted = 1 if op_id is not None or len(names) > MAX_OVERLAID else len(names)
     return meta, list(islice(responses, wanted)), len(names)

@@ -1,0 +1,169 @@
+"""A verification as JSON in the format ``seqsweep-verification``, and as plain text for the terminal."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Callable, Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from ...plant.damping.events import Event, Fault
+from .reading import RunReport, WindowReport
+from .runs import Verification
+
+FORMAT = "seqsweep-verification"
+VERSION = "1.0.0"
+
+SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-verification-1.schema.json"
+"""JSON schema of what `verify` writes."""
+
+
+def to_json(result: Verification) -> dict[str, Any]:
+    """The verification as plain JSON values; unknown numbers are null."""
+    from dataclasses import asdict
+    from importlib.metadata import version
+
+    tuned, scenario, settings = result.tuned, result.scenario, result.settings
+    names = ("without", "with")
+    return _plain(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "tool": {"name": "seqsweep", "version": version("seqsweep")},
+            "op_id": tuned.op_id,
+            "plant": tuned.plant.id,
+            "grid": {"r_ohm": tuned.grid.r_ohm, "x_ohm": tuned.grid.x_ohm, "f1_hz": tuned.grid.f1_hz},
+            "scenario": {
+                **{key: value for key, value in asdict(scenario).items() if key != "events"},
+                "duration_s": result.duration_s,
+                "events": [{"kind": type(event).__name__, **asdict(event)} for event in scenario.events],
+            },
+            "damping": {
+                "k": settings.k,
+                "r_ohm": settings.r_ohm,
+                "l_h": settings.l_h,
+                "resonance_hz": settings.resonance_hz,
+                "threshold": settings.threshold,
+                "delay_s": settings.delay_s,
+            },
+            "runs": {name: asdict(each) for name, each in zip(names, result.reports, strict=True)},
+            "remarks": list(result.remarks),
+        }
+    )
+
+
+def write_json(result: Verification, path: str | Path) -> None:
+    """Write the verification as JSON, atomically."""
+    from ...identify.files import atomic_file
+
+    text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
+    with atomic_file(path) as file:
+        file.write(text.encode())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def format_report(result: Verification, width: int = 80) -> str:
+    """Both runs as plain text: what was asked, how each went, and the windows side by side."""
+    without, damped = result.reports
+    lines = [*_wrapped(_headline(result), width), *_wrapped(_damping_line(result), width), ""]
+    lines += _grid_of([("", "without", "with"), *_facts(without, damped, result.settings.threshold)])
+    lines += ["", *_wrapped("windows of 150 ms: frequencies, r of the stronger one, its growth, power", width)]
+    lines += _grid_of([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
+    lines += [line for remark in result.remarks for line in ("", *_wrapped(f"note: {remark}", width))]
+    return "\n".join(lines)
+
+
+_WINDOW_HEAD = ("t (s)", "Hz", "r", "1/s", "MW", "|", "Hz", "r", "1/s", "MW")
+
+
+def _headline(result: Verification) -> str:
+    scenario, tuned = result.scenario, result.tuned
+    events = "; ".join(_in_words(event) for event in sorted(scenario.events, key=lambda event: event.time_s))
+    return (
+        f"{tuned.op_id}: {tuned.plant.id} at {scenario.active_power_w / 1e6:.4g} MW, source "
+        f"{scenario.source_voltage_v / tuned.plant.rating.voltage_v:.4g} pu behind {scenario.scale:.4g} x "
+        f"({tuned.grid.r_ohm:.4g} + j{tuned.grid.x_ohm:.4g}) ohm; {events or 'no event'}"
+    )
+
+
+def _damping_line(result: Verification) -> str:
+    settings = result.settings
+    return f"damping control: k = {settings.k:.4g} for the tuned grid, set to {settings.resonance_hz:.4g} Hz"
+
+
+def _in_words(event: Event) -> str:
+    if isinstance(event, Fault):
+        return f"fault {event.kind} through {event.r_ohm:g} ohm at {event.time_s:g} s for {1e3 * event.duration_s:g} ms"
+    names = {"scale": "grid x {:.4g}", "count": "{:g} turbines", "wind_m_s": "wind {:g} m/s"}
+    for name, text in names.items():
+        if hasattr(event, name):
+            return f"{text.format(getattr(event, name))} at {event.time_s:g} s"
+    return f"{event.active_power_w / 1e6:.4g} MW at {event.time_s:g} s"  # type: ignore[union-attr]
+
+
+def _facts(without: RunReport, damped: RunReport, threshold: float) -> list[tuple[str, ...]]:
+    def both(name: str, text: Callable[[RunReport], str]) -> tuple[str, ...]:
+        return name, text(without), text(damped)
+
+    return [
+        both("outcome", lambda run: run.outcome),
+        both(f"r above {100.0 * threshold:g} % from", lambda run: _time(run.above_s)),
+        both("largest r", lambda run: f"{100.0 * run.largest_ratio:.1f} %"),
+        both("last r", lambda run: f"{100.0 * run.last_ratio:.2f} %"),
+        both("rate after the last change", lambda run: _value(run.rate_per_s, "+.2f", " 1/s")),
+        both("damping control started", lambda run: _times(run.started_s)),
+        both("damping control stopped", lambda run: _times(run.stopped_s)),
+        both("synchronism lost", lambda run: _time(run.lost_s)),
+    ]
+
+
+def _window_rows(without: RunReport, damped: RunReport) -> list[tuple[str, ...]]:
+    rows = []
+    for left, right in zip(without.windows, damped.windows, strict=False):
+        rows.append((f"{left.from_s:.2f}-{left.to_s:.2f}", *_window_cells(left), "|", *_window_cells(right)))
+    return rows
+
+
+def _window_cells(window: WindowReport) -> tuple[str, ...]:
+    if not isfinite(window.power_mw):
+        return ("lost", "", "", "")
+    if not isfinite(window.ratio):
+        return ("blocked", "", "", f"{window.power_mw:.3f}")
+    low, high = sorted((window.f_hz, window.f_mirror_hz))
+    pair = f"{low:.1f}/{high:.1f}" if isfinite(low) else "-"
+    growth = f"{window.growth_per_s:+.1f}" if isfinite(window.growth_per_s) else "-"
+    return pair, f"{100.0 * window.ratio:.2f} %", growth, f"{window.power_mw:.3f}"
+
+
+def _value(value: float | None, form: str, unit: str) -> str:
+    return "-" if value is None else f"{value:{form}}{unit}"
+
+
+def _time(time_s: float | None) -> str:
+    return _value(time_s, ".3f", " s")
+
+
+def _times(times_s: tuple[float, ...]) -> str:
+    return ", ".join(f"{time_s:.3f} s" for time_s in times_s) or "-"
+
+
+def _grid_of(rows: list[tuple[str, ...]], gap: str = "  ") -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    forms = ["<", *[">"] * (len(widths) - 1)]
+    return [
+        gap.join(f"{cell:{form}{width}}" for cell, form, width in zip(row, forms, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    return textwrap.wrap(text, max(width, 20), subsequent_indent="  ")

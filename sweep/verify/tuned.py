@@ -1,0 +1,142 @@
+"""What a tuning asks to be verified: the device, the grid and the damping control of one operating point."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...plant.damping.control import DampingSettings
+from ...plant.damping.events import Scenario
+from ...plant.errors import SeqsweepError, place_of
+from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
+from ...plant.registry import make_plant
+from ...tuning.siso import SeriesRL
+from .scenario import Story
+
+
+class VerifyError(SeqsweepError):
+    """A tuning that cannot be verified in time, with the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tuned:
+    """What verification needs of a tuning: the grid, scale included, and the damping control for it.
+
+    ``plant`` is the card of a device that a child process has driven: enough for a report.
+    """
+
+    op_id: str
+    plant: Plant
+    grid: SeriesRL
+    active_power_w: float
+    terminal_voltage_v: float | None
+    source_voltage_v: float | None
+    k: float
+    f_r_hz: float
+
+
+def read_tuning(path: str | Path) -> dict[str, Any]:
+    """A tuning result as `tune` wrote it, held against its schema.
+
+    Raises
+    ------
+    VerifyError
+        If the file is not one.
+    """
+    from jsonschema import ValidationError, validate
+
+    from ...tuning.result import schema
+
+    try:
+        content = json.loads(Path(path).read_text("utf-8"))
+        validate(content, schema())
+    except FileNotFoundError:
+        raise VerifyError(f"{path}: no such file; `seqsweep tune y.parquet --grid R+jX -o {path}` writes it") from None
+    except ValidationError as error:
+        raise VerifyError(f"{path}: not a tuning result: {error.json_path}: {error.message}") from None
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        raise VerifyError(f"{path}: not JSON; needed: the file that `seqsweep tune -o` wrote") from None
+    return content
+
+
+def tuned_of(content: Mapping[str, Any], op_id: str | None = None, plant: Plant | None = None) -> Tuned:
+    """Device, grid and damping control of one operating point; by default of the worst.
+
+    The device is ``plant``, or the one that the campaign in the tuning names.
+
+    Raises
+    ------
+    VerifyError
+        If there is no such operating point, no campaign, no gain, or the device has no measurement port.
+    """
+    from ..config.sections import Config
+
+    point = _point(content, op_id or content["worst"])
+    configuration = content["provenance"]["table"].get("configuration", {})
+    if "plant" not in configuration:
+        raise VerifyError("the tuning names no campaign to drive: recordings and imports cannot be verified in time")
+    if point["k"] is None or point["f_r_hz"] is None:
+        raise VerifyError(f"{point['op_id']} has no k to verify: {point['reason']}")
+    config = Config.from_dict(configuration)
+    plant = plant or make_plant(config.plant.id, config.plant.parameters)
+    if not isinstance(plant, MeasuredPlant):
+        raise VerifyError(f"{plant.id} has no measurement port: damping control cannot act on it, nor events in time")
+    section = next(section for section in config.operating_point if section.id == point["op_id"])
+    u, pcc_pu, grid = plant.rating.voltage_v, section.terminal_voltage_pu, content["provenance"]["grid"]
+    return Tuned(
+        op_id=section.id,
+        plant=plant,
+        grid=SeriesRL(grid["r_ohm"], grid["x_ohm"], grid["f1_hz"]),
+        active_power_w=section.active_power_mw * 1e6,
+        terminal_voltage_v=None if pcc_pu is None else pcc_pu * u,
+        source_voltage_v=None if section.grid is None else section.grid.voltage_pu * u,
+        k=point["k"],
+        f_r_hz=point["f_r_hz"],
+    )
+
+
+def scenario_of(tuned: Tuned, story: Story) -> Scenario:
+    """The scenario on the tuned grid.
+
+    Raises
+    ------
+    VerifyError
+        If the operating point does not exist on the tuned grid and no source voltage is given.
+    """
+    power_w = tuned.active_power_w if story.active_power_w is None else story.active_power_w
+    voltage_v = tuned.source_voltage_v
+    if story.source_voltage_pu is not None:
+        voltage_v = story.source_voltage_pu * tuned.plant.rating.voltage_v
+    if voltage_v is None:
+        voltage_v = _source_voltage_v(tuned)
+    return Scenario(power_w, tuned.grid.r_ohm, tuned.grid.l_h, voltage_v, story.events, story.scale, story.turbines)
+
+
+def settings_of(tuned: Tuned) -> DampingSettings:
+    """Damping control as it was tuned."""
+    return DampingSettings(
+        tuned.k, tuned.grid.r_ohm, tuned.grid.l_h, resonance_hz=tuned.f_r_hz, f1_hz=tuned.plant.f1_hz
+    )
+
+
+def _point(content: Mapping[str, Any], op_id: str) -> Mapping[str, Any]:
+    points = content["operating_points"]
+    return points[place_of(op_id, [point["op_id"] for point in points], "the tuning", VerifyError)]
+
+
+def _source_voltage_v(tuned: Tuned) -> float:
+    """Voltage behind the tuned grid (line-to-line RMS) at which the swept |v_pcc| stands at the PCC."""
+    plant, grid = tuned.plant, tuned.grid
+    assert isinstance(plant, MeasuredPlant)
+    try:
+        state = plant.equilibrium(
+            OperatingPoint(tuned.active_power_w, tuned.terminal_voltage_v), Source("thevenin", grid.r_ohm, grid.l_h)
+        )
+    except NotSettled as refusal:
+        raise VerifyError(f"{tuned.op_id}: {refusal}") from None
+    _, trace = plant.trace(state, Conditions(grid.r_ohm, grid.l_h), 1)
+    source = trace.record.v[0] + (grid.r_ohm + 1j * grid.x_ohm) * trace.record.i[0]
+    return float(abs(source) * 1.5**0.5)
