@@ -198,8 +198,8 @@ def _branches(g: Following, i_out: complex) -> tuple[complex, complex, complex]:
     return v, v_c, i_out + 1j * g.cf * v_c
 
 
-def draw_following(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str]:
-    """A random one, stable or not on an ideal source, and a line that says what it is."""
+def draw_following(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str, Following]:
+    """A random one, stable or not on an ideal source, a line that says what it is, and its parameters."""
 
     def about(x: float, spread: float = 0.5) -> float:
         return float(x * np.exp(rng.uniform(-spread, spread)))
@@ -245,4 +245,4 @@ def draw_following(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str]
         f"{kind} filter, {g.outer} loops, PLL {pll_hz:.1f} Hz, feed-forward {feeding}, "
         f"delay {delay_s * 1e6:.0f} us, P {g.p:.2f}"
     )
-    return linear_following(g, bases), text
+    return linear_following(g, bases), text, g

@@ -129,16 +129,16 @@ def _equilibrium(g: Forming) -> tuple[np.ndarray, tuple[float, float, float]]:
     return np.concatenate(parts), (s.real, s.imag, abs(inner))
 
 
-def draw_forming(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str]:
-    """A random one, or two different ones at the same terminals."""
-    one, text = _draw_one(rng, bases)
+def draw_forming(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str, Forming | None]:
+    """A random one and its parameters, or two different ones at the same terminals."""
+    one, text, parameters = _draw_one(rng, bases)
     if rng.random() > 0.2:
-        return one, text
-    other, more = _draw_one(rng, bases)
-    return parallel(one, other), f"{text} beside {more}"
+        return one, text, parameters
+    other, more, _ = _draw_one(rng, bases)
+    return parallel(one, other), f"{text} beside {more}", None
 
 
-def _draw_one(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str]:
+def _draw_one(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str, Forming]:
     def about(x: float, spread: float = 0.3) -> float:
         return float(x * np.exp(rng.uniform(-spread, spread)))
 
@@ -163,4 +163,4 @@ def _draw_one(rng: np.random.Generator, bases: Bases) -> tuple[Linear, str]:
         **kind,
     )
     name = "droop" if droop else "VSM"
-    return linear_forming(g, bases), f"{name}, lg {g.lg:.3f}, lv {lv:.2f}, P {g.p:.2f}"
+    return linear_forming(g, bases), f"{name}, lg {g.lg:.3f}, lv {lv:.2f}, P {g.p:.2f}", g

@@ -206,6 +206,7 @@ CONDITIONS: dict[str, Callable[[Case], bool]] = {
     "with unstable poles of its own": lambda c: c.own_unstable > 0,
     "rows by formula": lambda c: c.spec.source == "exact",
     "rows swept by `run`": lambda c: c.spec.source == "swept",
+    "of them of nonlinear plants": lambda c: c.spec.nonlinear or (c.spec.source == "swept" and c.family == "turbine"),
     "rows of recordings": lambda c: c.spec.source == "recorded",
     "up to 30 rows": lambda c: c.n_rows <= 30,
     "31 to 100 rows": lambda c: 30 < c.n_rows <= 100,
@@ -287,6 +288,7 @@ def line_of(case: Case) -> str:
         (
             f" {spec.covariance}" if spec.noise else "",
             " float32" if spec.float32 else "",
+            " nonlinear" if spec.nonlinear else "",
             f" {spec.cut}" if spec.cut else "",
             f" {spec.outliers} outliers" if spec.outliers else "",
             "" if spec.fact else " no fact",

@@ -231,7 +231,7 @@ class NoisyPlant(LinearPlant):
 class SampledPlant(_Fed):
     """A `Sampled` device on an ideal source; several samples of the record in one interval of the controller."""
 
-    PER_INTERVAL = 4
+    PER_INTERVAL = 8
 
     def __init__(self, device: Sampled):
         super().__init__(device.bases, device.control.t_s / self.PER_INTERVAL)

@@ -10,9 +10,25 @@ import numpy as np
 
 from seqsweep.identify.response import FrequencyResponse
 
+from .forming import Forming
 from .linear import Linear
 from .sampled_devices import Sampled
 from .units import Unit
+
+FOLLOWING = {
+    **{"lf": "l_f_pu", "rf": "r_f_pu", "cf": "c_f_pu", "rc": "r_c_pu", "lg": "l_g_pu", "rg": "r_g_pu"},
+    **{"kpc": "k_pc", "kic": "k_ic", "krd": "k_rd", "kff": "k_ff", "wff": "w_ff_rad_s", "kpp": "k_ppll"},
+    **{"kip": "k_ipll", "kp": "k_p", "ki": "k_i", "kq": "k_q", "kiq": "k_iq", "wm": "w_m_rad_s"},
+}
+"""Fields of `Following` and what ``gfl-v1`` calls them."""
+
+FORMING = {
+    **{"lf": "l_f_pu", "rf": "r_f_pu", "cf": "c_f_pu", "lg": "l_g_pu", "rg": "r_g_pu", "kpv": "k_pv", "kiv": "k_iv"},
+    **{"kffv": "k_ffv", "kffi": "k_ffi", "rv": "r_v_pu", "lv": "l_v_pu", "kpc": "k_pc", "kic": "k_ic", "kad": "k_ad"},
+    **{"wad": "w_ad_rad_s", "kq": "k_q", "wf": "w_f_rad_s", "ta": "t_a_s", "kd": "k_d", "kw": "k_w"},
+    **{"wlp": "w_lp_rad_s", "kpp": "k_ppll", "kip": "k_ipll"},
+}
+"""Fields of `Forming` and what ``gfm-v1`` calls them."""
 
 T_PN = np.array([[1.0, 1j], [1.0, -1j]])
 """(d, q) to (positive sequence, conjugate of the mirror)."""
@@ -48,6 +64,8 @@ class Spec:
         Whether rows are missing somewhere, around f1 (as in measurements in the field), or the band ends early.
     outliers : int
         Rows that are wrong by some tens of per cent.
+    nonlinear : bool
+        Whether the product's own nonlinear plant is swept, and not the linear one with a cubic part.
     """
 
     source: str
@@ -64,6 +82,7 @@ class Spec:
     fact: bool
     cut: str
     outliers: int = 0
+    nonlinear: bool = False
 
 
 def draw_spec(unit: Unit, rng: np.random.Generator, source: str) -> Spec:
@@ -95,6 +114,7 @@ def draw_spec(unit: Unit, rng: np.random.Generator, source: str) -> Spec:
         fact=bool(rng.random() < 0.92),
         cut=cut,
         outliers=int(rng.integers(1, 4)) if noisy and not swept and rng.random() < 0.1 else 0,
+        nonlinear=swept and not noisy and is_nonlinear(unit),
     )
 
 
@@ -113,6 +133,8 @@ def _frequencies(rng: np.random.Generator, unit: Unit, points: int, spacing: str
     f1_hz = unit.bases.f1_hz
     low = float(rng.choice([1.0, 1.0, 1.0, 2.0, 5.0]))
     high = float(rng.choice([1000.0, 1000.0, 1000.0, 500.0, 2000.0, 300.0]))
+    if isinstance(unit.device, Sampled):  # below half of its Nyquist frequency
+        high = min(high, 0.25 / unit.device.control.t_s)
     if unit.family == "rational":  # its modes lie anywhere: the band holds them, unless it is cut short
         high = max(high, 1.3 * f1_hz + 1.5 * float(np.abs(unit.device.own_poles.imag).max()) / (2.0 * np.pi))
     cut = str(rng.choice(["", "gap", "f1", "short"], p=[0.78, 0.1, 0.04, 0.08]))
@@ -247,6 +269,8 @@ def _plant(unit: Unit, spec: Spec, seed: int) -> Any:
         from seqsweep.plant.turbine.reference import ReferenceTurbine
 
         return ReferenceTurbine()
+    if spec.nonlinear:
+        return _own_plant(unit)
     from .swept_plants import LinearPlant, NoisyPlant, SampledPlant
 
     if isinstance(unit.device, Sampled):
@@ -258,15 +282,51 @@ def _plant(unit: Unit, spec: Spec, seed: int) -> Any:
     return LinearPlant(unit.device, unit.bases, spec.bend)
 
 
+def _own_plant(unit: Unit) -> Any:
+    """The product's own nonlinear inverter of the same parameters."""
+    from seqsweep.plant.registry import make_plant
+
+    g, bases = unit.parameters, unit.bases
+    assert g is not None
+    rating = {"u_rated_v": bases.voltage_v, "s_rated_va": bases.power_va, "w1_rad_s": bases.w1}
+    if isinstance(g, Forming):
+        return make_plant("gfm-v1", {**rating, **{theirs: getattr(g, ours) for ours, theirs in FORMING.items()}})
+    weights = {"c_p": float(g.outer != "dc"), "c_dc": float(g.outer == "dc")}
+    weights |= {"c_q": float(g.outer != "pv"), "c_v": float(g.outer == "pv")}
+    dc = {"c_dc_s": g.c_dc_s} if g.outer == "dc" else {}
+    return make_plant(
+        "gfl-v1", {**rating, **weights, **dc, **{theirs: getattr(g, ours) for ours, theirs in FOLLOWING.items()}}
+    )
+
+
+def is_nonlinear(unit: Unit) -> bool:
+    """Whether the product has a nonlinear plant for it: one inverter, LCL or forming, without a delay of its own."""
+    g = unit.parameters
+    if isinstance(g, Forming):
+        return abs(complex(g.p, g.q)) < 1.0
+    if g is None or g.filter != "LCL" or g.delay_s > 0.0 or g.outer == "current":
+        return False
+    return abs(complex(g.p, g.q)) < 1.0 and bool(g.kff == 0.0 or np.isfinite(g.wff))
+
+
 def _campaign(unit: Unit, spec: Spec) -> dict[str, Any]:
     power, voltage = unit.point if unit.family == "turbine" else (0.5 * unit.bases.power_va / 1e6, 1.0)
+    point = {"id": "a", "active_power_mw": power, "terminal_voltage_pu": voltage}
+    if spec.nonlinear:
+        assert unit.parameters is not None
+        g, rated_mva = unit.parameters, unit.bases.power_va / 1e6
+        point |= {
+            "active_power_mw": g.p * rated_mva,
+            "reactive_power_mvar": g.q * rated_mva,
+            "terminal_voltage_pu": g.v,
+        }
     source = {"kind": "ideal"}
     if unit.swept_on is not None:
         source = {"kind": "thevenin", "r_ohm": unit.swept_on[0], "x_ohm": unit.swept_on[1]}
     return {
         "campaign": {"name": "verdict families"},
         "plant": {"id": "dpmsg-v1" if unit.family == "turbine" else "branch-v1"},
-        "operating_point": [{"id": "a", "active_power_mw": power, "terminal_voltage_pu": voltage}],
+        "operating_point": [point],
         "sweep": {**_grid_section(spec), "max_simulated_s": 8.0 if spec.noise else 60.0, **_agreement(spec)},
         "injection": {"signal": spec.signal, "amplitude_pu": spec.amplitude_pu},
         "source": source,

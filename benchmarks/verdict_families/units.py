@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from .following import draw_following
-from .forming import draw_forming
+from .following import Following, draw_following
+from .forming import Forming, draw_forming
 from .linear import Bases, Linear
 from .rational_devices import draw_rational
 from .sampled_devices import draw_sampled
@@ -45,7 +45,8 @@ class Device(Protocol):
 class Unit:
     """A device, what it is called, where it is swept: ``swept_on`` is R, X (ohm) of that grid, None an ideal source.
 
-    ``point`` are the turbine's power (MW) and voltage (pu), NaN for others.
+    ``point`` are the turbine's power (MW) and voltage (pu), NaN for others; ``parameters`` those of an inverter, which
+    the product may have as a nonlinear plant as well.
     """
 
     family: str
@@ -54,6 +55,7 @@ class Unit:
     device: Device
     swept_on: tuple[float, float] | None
     point: tuple[float, float] = (float("nan"), float("nan"))
+    parameters: Following | Forming | None = None
 
     @property
     def own_unstable(self) -> int:
@@ -77,15 +79,15 @@ def _drawn(family: str, rng: np.random.Generator) -> Unit | None:
     if family == "sampled":
         sampled, text = draw_sampled(rng, bases)
         return Unit(family, text, bases, sampled, None) if _rests(sampled, None) else None
-    draw = {"following": draw_following, "forming": draw_forming, "rational": draw_rational}[family]
-    found, text = draw(rng, bases)
-    wishes = rng.random()
     if family == "rational":
+        found, text = draw_rational(rng, bases)
         return Unit(family, text, bases, found, None) if _rests(found, None) else None
-    if _rests(found, None) and wishes < 0.85:
-        return Unit(family, text, bases, found, None)
-    grid = _friendly_grid(found, bases)
-    return None if grid is None else Unit(family, text, bases, found, grid)
+    inverter, text, parameters = (draw_following if family == "following" else draw_forming)(rng, bases)
+    ideal = _rests(inverter, None) and rng.random() < 0.85
+    grid = None if ideal else _friendly_grid(inverter, bases)
+    if grid is None and not ideal:
+        return None
+    return Unit(family, text, bases, inverter, grid, parameters=parameters)
 
 
 def _ratings(rng: np.random.Generator) -> tuple[float, float]:

@@ -97,7 +97,7 @@ def test_closed_loop_poles_are_zeros_of_the_determinant(draw) -> None:
     """All three forms of the ordinary differential equations: each pole makes 1 + Y Z singular."""
     rng = np.random.default_rng(3)
     for _ in range(12):
-        device, text = draw(rng, GFL)
+        device, text, *_ = draw(rng, GFL)
         r, x = grid_at(2.0, GFL)
         for pole in device.closed_loop(r, x):
             if nearest(device.own_poles, pole) < 1e-3 * abs(pole):
