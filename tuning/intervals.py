@@ -148,10 +148,16 @@ def _followed(admittance: Admittance, gain: Gain, nu_hz: float) -> float:
 def _drawn(model: RationalModel, gain: Gain, nu_hz: float, std: float) -> Interval:
     """Quantiles over admittances drawn from the fit's distribution; one without a crossing counts as infinite."""
     normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1] + 1))
-    nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED)
-    found = [_smallest(gain(y, nu)) for y in _moved(model, normal, nu)]
+    nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED) if nu_hz > 0.0 else np.zeros(1)
+    at = _smallest if nu_hz > 0.0 else _at_zero
+    found = [at(gain(y, nu)) for y in _moved(model, normal, nu)]
     low, high = np.quantile(found, [0.025, 0.975], method="inverted_cdf")
     return Interval(std, float(low), float(high) if np.isfinite(high) else None)
+
+
+def _at_zero(q: np.ndarray) -> float:
+    """-1/q at nu = 0, where q is real whatever the parameters; infinite if it is positive."""
+    return float(-1.0 / q[0].real) if q[0].real < 0.0 else float("inf")
 
 
 def _smallest(q: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +21,8 @@ from .facts import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, fil
 MIRRORED = 1e-2
 """Part of Y by which a row and that of its mirror may differ."""
 
-NEAR_F1_HZ = 3.0
-"""So near f1 a controlled device holds its power."""
+NEAR_F1_HZ, ABOUT_F1_HZ, FEWEST = 20.0, 100.0, 6
+"""Rows that tell the limit of Ydd at f1: the nearest one, the farthest, their number."""
 
 CONSTANT_POWER = 0.3
 """How near -1 Ydd V^2 / P must be to mean the other direction."""
@@ -196,19 +197,38 @@ def _check_direction(f_hz: np.ndarray, y: np.ndarray, point: Mapping[str, Any], 
     """
     power_w, voltage_pu = (_known(point.get(key)) for key in ("active_power_mw", "terminal_voltage_pu"))
     power_w *= 1e6
-    nearest = int(np.argmin(np.abs(f_hz - float(facts["f1_hz"]))))
-    if not power_w > 0.0 or abs(f_hz[nearest] - float(facts["f1_hz"])) > NEAR_F1_HZ:
+    limit = _dc_limit(f_hz - float(facts["f1_hz"]), pn_to_dq(y)[:, 0, 0]) if power_w > 0.0 else None
+    if limit is None:
         return
     voltage_v = float(facts["rated_voltage_v"]) * (voltage_pu or 1.0)
-    seen = pn_to_dq(y[nearest])[0, 0] * voltage_v**2 / power_w
+    seen = limit * voltage_v**2 / power_w
     if abs(seen + 1.0) < CONSTANT_POWER:
         other = {"load": "generator", "generator": "load"}[facts["direction"]]
-        away_hz = f_hz[nearest] - float(facts["f1_hz"])
         raise ExchangeError(
-            f"{where}: at {away_hz:+.3g} Hz from f1 Ydd is {seen.real:.3g} P / V^2 when the current counts as "
-            f"--direction {facts['direction']} says; a generator of {power_w / 1e6:g} MW that holds its power has +1: "
-            f"--direction {other}, most likely (or leave --active-power-mw out)"
+            f"{where}: towards f1 Ydd goes to {seen.real:.3g} P / V^2 when the current counts as --direction "
+            f"{facts['direction']} says; a generator of {power_w / 1e6:g} MW that holds its power has +1: --direction "
+            f"{other}, most likely (or leave --active-power-mw out)"
         )
+
+
+def _dc_limit(f_hz: np.ndarray, ydd: np.ndarray) -> complex | None:
+    """Ydd at 0 Hz (dq frame) by rational functions of two tolerances that agree; None where they do not.
+
+    A real device has Ydd(-f) = conj(Ydd(f)): 0 Hz lies within the data, not outside.
+    """
+    from scipy.interpolate import AAA
+
+    near = (np.abs(f_hz) <= ABOUT_F1_HZ) & np.isfinite(ydd)
+    if np.count_nonzero(near) < FEWEST or np.min(np.abs(f_hz)) > NEAR_F1_HZ:
+        return None
+    f_all = np.concatenate([f_hz[near], -f_hz[near]])
+    y_all = np.concatenate([ydd[near], np.conj(ydd[near])])
+    f_all, first = np.unique(np.round(f_all, 9), return_index=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = [complex(AAA(1j * f_all, y_all[first], rtol=rtol)(0.0)) for rtol in (1e-2, 1e-4)]
+    agree = abs(found[0] - found[1]) < 0.5 * CONSTANT_POWER * abs(found[1])
+    return found[1] if agree else None
 
 
 def _known(value: Any) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 
 from .recording import Channel, Recording, RecordingError, names_of
 from .sequences import Kind, SpaceVector, determines, judged, probe, space_vector
+from .units import Size, in_the_way, is_per_unit, says_nothing, unit_of
 
 ROLES = (
     *("va", "vb", "vc", "vab", "vbc", "vca", "vba", "vcb", "vac", "valpha", "vbeta"),
@@ -31,18 +32,6 @@ _TOLD_BY_TWO = ("a b c", "l1 l2 l3", "an bn cn")
 """Names of phases of which two are enough."""
 
 _KINDS: tuple[Kind, ...] = ("voltage", "current")
-_UNITS = {
-    "v": 1.0,
-    "volt": 1.0,
-    "volts": 1.0,
-    "kv": 1e3,
-    "mv": 1e-3,
-    "a": 1.0,
-    "amp": 1.0,
-    "amps": 1.0,
-    "ka": 1e3,
-    "ma": 1e-3,
-}
 _DIRECT = re.compile(r"dc\W*$", re.IGNORECASE)
 """Ends the name of a direct voltage or current, not of a phase c."""
 
@@ -72,7 +61,10 @@ def parse_channels(text: str) -> dict[str, str]:
 
 
 def assign(
-    recording: Recording, given: Mapping[str, str] | None = None, base: tuple[float, float] | None = None
+    recording: Recording,
+    given: Mapping[str, str] | None = None,
+    base: tuple[float, float] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Assignment:
     """Find voltage and current of a recording.
 
@@ -83,7 +75,9 @@ def assign(
     given : mapping of role to channel name, optional
         What the user says; roles as in `ROLES`. Whatever is not given is guessed.
     base : (V, A), optional
-        Rated phase peaks, for channels in per unit.
+        Rated phase peaks, for channels in per unit, and for what is too far from them to be believed.
+    units : mapping of str to str, optional
+        Unit of "voltage" and of "current" as the user says it; it overrules the file.
 
     Raises
     ------
@@ -96,8 +90,10 @@ def assign(
     for kind in _KINDS:
         columns = {role: recording.column(name) for role, name in given.items() if role[0] == _letter(kind)}
         vector = _as_given(recording, kind, columns) if columns else _guessed(recording, kind, notes)
-        vectors.append(_scaled(recording, vector, base, notes))
-    voltage, current = judged(recording, vectors[0], vectors[1], notes)
+        vectors.append(vector)
+    told = units or {}
+    scaled = [_scaled(recording, vector, base, told.get(vector.kind), notes) for vector in vectors]
+    voltage, current = judged(recording, scaled[0], scaled[1], notes)
     return Assignment(voltage, current, tuple(notes))
 
 
@@ -171,7 +167,11 @@ def _guessed(recording: Recording, kind: Kind, notes: list[str]) -> SpaceVector:
 
 
 def _complete(channels: Sequence[Channel], kind: Kind) -> list[_Group]:
-    """Everything that could be this quantity with all of its channels, by names and units."""
+    """Everything that could be this quantity with all of its channels, by the ends of names, else by words in them."""
+    return _all_there(channels, kind, within=False) or _all_there(channels, kind, within=True)
+
+
+def _all_there(channels: Sequence[Channel], kind: Kind, within: bool) -> list[_Group]:
     found: list[_Group] = []
     taken: set[int] = set()
     mine = [k for k, channel in enumerate(channels) if _kind(channel) == kind]
@@ -179,7 +179,7 @@ def _complete(channels: Sequence[Channel], kind: Kind) -> list[_Group]:
         size = 2 if form == "alpha_beta" else 3
         for alphabet in _ALPHABETS[form]:
             free = [k for k in mine if k not in taken]
-            for group in _families(channels, free, form, _roles_of(form, alphabet)):
+            for group in _families(channels, free, form, _roles_of(form, alphabet), within):
                 if len(group.columns) == size and determines(group.roles):
                     found.append(group)
                     taken.update(group.columns)
@@ -208,11 +208,14 @@ def _roles_of(form: str, alphabet: str) -> dict[str, str]:
     return found
 
 
-def _families(channels: Sequence[Channel], among: Sequence[int], form: str, roles: Mapping[str, str]) -> list[_Group]:
+def _families(
+    channels: Sequence[Channel], among: Sequence[int], form: str, roles: Mapping[str, str], within: bool = False
+) -> list[_Group]:
     """Channels whose names differ in their phase alone, in the order of ``roles``."""
     families: dict[str, dict[str, int]] = {}
+    split_of = _phase_within if within else _stem_and_phase
     for k in among:
-        if (split := _stem_and_phase(channels[k], tuple(roles))) is not None:
+        if (split := split_of(channels[k], tuple(roles))) is not None:
             families.setdefault(split[0], {}).setdefault(roles[split[1]], k)
     order = [dict.fromkeys(role for role in roles.values() if role in family) for family in families.values()]
     return [
@@ -233,13 +236,21 @@ def _stem_and_phase(channel: Channel, letters: Sequence[str]) -> tuple[str, str]
     return (re.sub(r"[\d\s_]+$", "", name), word) if word in letters else None
 
 
+def _phase_within(channel: Channel, letters: Sequence[str]) -> tuple[str, str] | None:
+    """Name without the first word's end that is a phase, and the phase: "va, bus 3", "phase a voltage"."""
+    name = channel.name.lower()
+    found = re.search(rf"({'|'.join(sorted(letters, key=len, reverse=True))})(?=[^a-z0-9]|$)", name)
+    return (f"{name[: found.start()]}*{name[found.end() :]}", found[1]) if found else None
+
+
 def _kind(channel: Channel) -> Kind | None:
     """Voltage or current, by unit, else by name."""
-    unit = channel.unit.strip().lower()
-    if unit in _UNITS:
-        return "voltage" if unit.rstrip("olts").endswith("v") else "current"
-    if unit not in ("", "pu", "p.u.", "1", "-"):
+    if (known := unit_of(channel.unit)) is not None:
+        return known[0]
+    if not (is_per_unit(channel.unit) or says_nothing(channel.unit)):
         return None
+    if found := re.search(r"^[a-z]:([ui])\d?:", channel.name.strip().lower()):  # PowerFactory: m:u:A, s:i:bus1:B
+        return "voltage" if found[1] == "u" else "current"
     name = channel.name.strip().lower().rsplit(":", 1)[-1].rsplit("/", 1)[-1]
     if re.search(r"rms|power|freq|angle|speed|_ref|ref$|mag", name):
         return None
@@ -313,25 +324,49 @@ def _balanced(recording: Recording) -> list[tuple[int, ...]]:
 
 
 def _scaled(
-    recording: Recording, vector: SpaceVector, base: tuple[float, float] | None, notes: list[str]
+    recording: Recording,
+    vector: SpaceVector,
+    base: tuple[float, float] | None,
+    told: str | None,
+    notes: list[str],
 ) -> SpaceVector:
-    """Weights in V or A."""
-    units = {recording.channels[k].unit.strip().lower() for k in vector.columns}
-    if len(units) > 1:
+    """Weights in V or A; the unit that is ``told`` overrules the file's."""
+    rated = None if base is None else base[0 if vector.kind == "voltage" else 1]
+    written = {recording.channels[k].unit.strip() for k in vector.columns}
+    if told is None and len(written) > 1:
         raise RecordingError(
-            f"{recording.path}: channels of the {vector.kind} have different units: {', '.join(sorted(units))}"
+            f"{recording.path}: channels of the {vector.kind} have different units: {', '.join(sorted(written))}"
         )
-    unit = units.pop()
-    if unit in ("pu", "p.u."):
-        if base is None:
-            raise RecordingError(
-                f"{recording.path}: the {vector.kind} is in per unit: give --rated-voltage-v and --rated-power-va"
-            )
-        factor = base[0 if vector.kind == "voltage" else 1]
+    unit = told if told is not None else written.pop()
+    if written - {unit, ""} and told is not None:
+        notes.append(f"the {vector.kind} is in {told}, as asked, where the file says {', '.join(sorted(written))}")
+    factor, stated = _factor(recording, vector.kind, unit, rated), not says_nothing(unit)
+    scaled = replace(vector, weights=vector.weights * factor)
+    x = np.abs(scaled.of(probe(recording, vector.columns)))
+    size = float(np.sqrt(np.mean(x[np.isfinite(x)] ** 2))) if np.any(np.isfinite(x)) else 0.0
+    if problem := in_the_way(vector.kind, Size(size, factor, stated), rated) if size > 0.0 else "":
+        raise RecordingError(f"{recording.path}: {problem}")
+    if is_per_unit(unit):
         notes.append(f"{vector.kind} in per unit of {factor:.6g} (phase peak)")
-    elif unit in _UNITS:
-        factor = _UNITS[unit]
-    else:
-        factor = 1.0
+    if not stated:
         notes.append(f"the {vector.kind} has no known unit: taken as {'V' if vector.kind == 'voltage' else 'A'}")
-    return replace(vector, weights=vector.weights * factor)
+    return scaled
+
+
+def _factor(recording: Recording, kind: Kind, unit: str, rated: float | None) -> float:
+    """V or A per unit of a channel."""
+    if is_per_unit(unit):
+        if rated is None:
+            raise RecordingError(
+                f"{recording.path}: the {kind} is in per unit: give --rated-voltage-v and --rated-power-va"
+            )
+        return rated
+    if says_nothing(unit):
+        return 1.0
+    known = unit_of(unit)
+    if known is None or known[0] != kind:
+        raise RecordingError(
+            f"{recording.path}: a channel of the {kind} is in {unit!r}, which is no unit of a {kind}: --{kind}-unit "
+            "says what it is"
+        )
+    return known[1]

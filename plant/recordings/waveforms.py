@@ -84,11 +84,12 @@ def open_waveforms(
     channels: Mapping[str, str] | None = None,
     base: tuple[float, float] | None = None,
     sample_rate_hz: float | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Waveforms:
     """Open a file in a process of its own and find v and i in it; `RecordingError` as `read_recording` and `assign`."""
     recording = read_recording_apart(path, sample_rate_hz=sample_rate_hz)
     try:
-        assignment = assign(recording, channels, base)
+        assignment = assign(recording, channels, base, units)
     except RecordingError as error:
         raise RecordingError("; ".join([str(error), *recording.hints])) from None
     return Waveforms(recording, assignment, direction)

@@ -27,6 +27,8 @@ def identify(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="TABLE.parquet", help="The table to write.")],
     manifest: Annotated[Path | None, typer.Option(metavar="FILE", help="What was injected (manifest.json).")] = None,
     channels: Annotated[str, typer.Option(metavar="va=NAME,...", help="Which channel is which.")] = "",
+    voltage_unit: Annotated[str | None, typer.Option(metavar="kV", help="Of the voltages; overrules.")] = None,
+    current_unit: Annotated[str | None, typer.Option(metavar="kA", help="Of the currents; overrules.")] = None,
     direction: Annotated[str | None, typer.Option(metavar="load|generator", help="Of the recorded current.")] = None,
     f1: Annotated[str, typer.Option(metavar="auto|HZ", help="Fundamental; auto: out of the data.")] = "auto",
     sample_rate: Annotated[float | None, typer.Option(metavar="HZ", help="Overrules the files.")] = None,
@@ -42,9 +44,8 @@ def identify(
     from ..recorded.identify import request_of
 
     check_new(output, force)
-    request = request_of(
-        files, manifest, channels, direction, f1, sample_rate, (rated_voltage_v, rated_power_va), op, stable_on
-    )
+    rating, units = (rated_voltage_v, rated_power_va), (voltage_unit, current_unit)
+    request = request_of(files, manifest, channels, direction, f1, sample_rate, rating, op, stable_on, units)
     outcome = identify_recordings(request, output, jobs=jobs, say=lambda text: typer.echo(text, err=True))
     report_statuses(output, outcome.statuses)
     if not outcome.all_ok:

@@ -21,6 +21,7 @@ from ...plant.protocol import Rating, SourceDirection
 from ...plant.recordings.channels import parse_channels
 from ...plant.recordings.read import recordings_in
 from ...plant.recordings.recording import RecordingError
+from ...plant.recordings.units import parse_units
 from .listen import Fundamental, Listened, Task, listen
 from .match import Told, match, read_manifest
 
@@ -28,6 +29,9 @@ POWER_MEANING = "active power out of the device at the PCC, of the fundamental, 
 
 MOST_REFUSALS = 20
 """Reasons that an error lists where no recording could be used."""
+
+TAKES_UP = 0.02
+"""Active power into the device, relative to its apparent power, that is worth a word."""
 
 Say = Callable[[str], None]
 
@@ -54,6 +58,8 @@ class Request:
         Name of the operating point.
     stable_on : mapping or None
         The source on which the device was recorded, as `operating_state.stated` gives it.
+    units : mapping
+        Unit of "voltage" and of "current"; it overrules the files.
     """
 
     files: tuple[Path, ...]
@@ -65,6 +71,7 @@ class Request:
     rating: Rating | None = None
     op_id: str | None = None
     stable_on: Mapping[str, Any] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 class Outcome(NamedTuple):
@@ -92,6 +99,7 @@ def request_of(
     rating: tuple[float | None, float | None],
     op_id: str | None,
     stable_on: str | None = None,
+    units: tuple[str | None, str | None] = (None, None),
 ) -> Request:
     """The words of the command line as a `Request`; `IdentifyError` where one of them makes no sense."""
     if direction not in (None, "load", "generator"):
@@ -110,6 +118,7 @@ def request_of(
         rating=None if rating[0] is None or rating[1] is None else Rating(rating[0], rating[1]),
         op_id=op_id,
         stable_on=None if stable_on is None else stated(stable_on),
+        units=parse_units(*units),
     )
 
 
@@ -170,6 +179,8 @@ def identified(request: Request, *, jobs: int, say: Say = lambda text: None) -> 
         say(word)
     experiments = [experiment for result in results for experiment in result.experiments]
     seen = [each for result in results for each in result.fundamentals]
+    if word := _taking_up(seen, tasks[0].direction):
+        say(word)
     f1_hz = _f1_of_table(seen, experiments, manifest)
     points = _completed(points_of(experiments, f1_hz), manifest, experiments)
     points = _joined(points, broadband_points([r.broadband for r in results if r.broadband], f1_hz))
@@ -204,6 +215,7 @@ def _tasks(request: Request, manifest: Told | None) -> tuple[list[Task], list[st
         channels=dict(request.channels),
         f1_hz=request.f1_hz,
         sample_rate_hz=request.sample_rate_hz,
+        units=dict(request.units),
         base=None if rating is None else (rating.peak_voltage_v, rating.peak_current_a),
     )
     if manifest is None:
@@ -232,6 +244,18 @@ def _recorded_rating(seen: Sequence[Fundamental], say: Say) -> Rating:
         "(--rated-voltage-v, --rated-power-va)"
     )
     return Rating(voltage_v, power_va)
+
+
+def _taking_up(seen: Sequence[Fundamental], direction: SourceDirection) -> str:
+    """What to say where power flows into the device: true of a load, of a generator the wrong direction."""
+    power_w = float(np.median([each.power_w for each in seen]))
+    if not power_w < -TAKES_UP * float(np.median([each.apparent_va for each in seen])):
+        return ""
+    other = {"load": "generator", "generator": "load"}[direction]
+    return (
+        f"the device takes up {-power_w / 1e6:.4g} MW when its current counts as --direction {direction} says; if it "
+        f"generates, it was recorded the other way: --direction {other}"
+    )
 
 
 def _listen_all(tasks: Sequence[Task], jobs: int) -> list[Listened]:
@@ -365,6 +389,7 @@ def _metadata(
             "recordings": {
                 "files": files,
                 "channels": dict(request.channels),
+                "units": dict(request.units),
                 "f1_hz": request.f1_hz,
                 "sample_rate_hz": request.sample_rate_hz,
                 "manifest": manifest.content if manifest else None,

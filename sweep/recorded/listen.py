@@ -64,6 +64,8 @@ class Task:
         Overrules the file.
     base : (V, A) or None
         Rated phase peaks.
+    units : mapping
+        Unit of "voltage" and of "current", where the user overrules the file.
     amplitude_base : float
         What the manifest's amplitudes are relative to (V or A); NaN.
     quiet_until_s : float or None
@@ -77,6 +79,7 @@ class Task:
     f1_hz: float | None = None
     sample_rate_hz: float | None = None
     base: tuple[float, float] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
     amplitude_base: float = nan
     quiet_until_s: float | None = None
 
@@ -141,6 +144,7 @@ def listen(task: Task) -> Listened:
             channels=task.channels,
             base=task.base,
             sample_rate_hz=task.sample_rate_hz,
+            units=task.units,
         )
         stretches = _as_told(task, task.experiment, waveforms) if task.experiment else _found(waveforms)
         result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)

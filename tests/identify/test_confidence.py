@@ -377,6 +377,23 @@ def test_interval_near_a_fold_has_no_upper_end() -> None:
     assert deep.high - 1.0 == pytest.approx(1.96 * deep.std, rel=0.25)
 
 
+def test_interval_at_rest_is_that_of_a_real_number() -> None:
+    """At f1 itself (0 Hz, dq) q is real whatever is drawn: of q = -exp(a normal x) the quantiles are known."""
+    at = device()
+    assert at is not None
+    model = fit_response(table(at.y, 1e-2, np.random.default_rng(1)))
+    weight = np.array([[1.0, 0.0], [0.0, 0.0]])
+    noise = float(np.linalg.norm(spread(model, np.zeros(1, dtype=complex), weight[None]).real))
+
+    def gain(y_dq: np.ndarray, nu_hz: np.ndarray) -> np.ndarray:
+        moved = y_dq - evaluate(model, 2j * np.pi * nu_hz)
+        return -np.exp(moved[:, 0, 0].real / noise) + 0j
+
+    found = interval_at(model, gain, 0.0, weight / noise)
+    assert found.high is not None
+    assert np.log([found.low, found.high]) == pytest.approx([-1.96, 1.96], rel=0.15)
+
+
 @pytest.mark.parametrize("level", [0.0, 1e-6, 1e-5, 1e-4])
 def test_intervals_of_nearly_noise_free_tables_are_straight(level: float) -> None:
     """What is known to 1e-4 or better bends nothing: 1.96 standard errors on either side."""

@@ -11,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
+from seqsweep.plant.errors import SeqsweepError
+from seqsweep.plant.recordings.units import parse_units, unit_of
 from seqsweep.plant.recordings.waveforms import open_waveforms
 
 from ..support import recording_files as files
@@ -19,6 +21,7 @@ from .test_recordings import COLUMNS, DT, SAMPLES, TRUTH, N, T, difference, note
 from .test_recordings_bad import refused
 
 HEADS = ("Time", *files.NAMES)
+WORDS = {"V": "voltage", "I": "current"}
 ROWS = np.column_stack([T, SAMPLES])
 
 
@@ -57,6 +60,14 @@ TEXTS = {
     "exponents without a letter": lambda p: written(p, lines(cell=lambda x: f"{x:.9e}".replace("e-0", "-00"))),
     "a comma after every row": lambda p: written(p, [f"{row}," for row in lines()]),
     "a comma after everything": lambda p: written(p, [f"{row}," for row in lines()], ",".join(HEADS) + ","),
+    "commas in quoted names": lambda p: written(
+        p, lines(), '"Time, s",' + ",".join(f'"{n}, bus 3 ({"V" if n[0] == "V" else "A"})"' for n in files.NAMES)
+    ),
+    "phases within names": lambda p: written(
+        p,
+        lines(),
+        "Time," + ",".join(f"Phase {n[1].upper()} {'voltage' if n[0] == 'V' else 'current'}" for n in files.NAMES),
+    ),
     "quoted numbers": lambda p: written(p, lines(lambda c: ",".join(f'"{x}"' for x in c))),
     "decimal commas": lambda p: written(p, lines(lambda c: ";".join(c).replace(".", ",")), ";".join(HEADS)),
     "decimal commas in quotes": lambda p: written(
@@ -137,7 +148,10 @@ def test_headings_that_cannot_be_used_are_told(tmp_path, head, words):
 
 def test_what_is_no_table_is_told_by_its_cause(tmp_path):
     refused(written(tmp_path / "a.csv", [f"{x:.6e}" for x in T], "Va"), "a single column of numbers")
-    refused(written(tmp_path / "b.csv", ["alpha,beta"] * 50, ""), "no table of numbers.* a line reads 'alpha,beta'")
+    refused(
+        written(tmp_path / "b.csv", ["alpha,beta"] * 50, ""),
+        "a header, and no rows of numbers; the last line reads 'alpha,beta'",
+    )
     refused(written(tmp_path / "c.csv", [], "# nothing"), "holds comments only")
 
 
@@ -394,3 +408,58 @@ def test_mdf4_with_one_channel_per_group_is_read(tmp_path):
     assert waveforms.n_samples == N - 30
     assert np.max(np.abs(record.i - TRUTH.i[30:])) < 1e-9
     assert np.max(np.abs(record.v - TRUTH.v[30:])) < 1e-9
+
+
+# Units
+
+
+def in_units(path, unit_v="", unit_a="", scale_v=1.0, scale_a=1.0):
+    heads = [f"{n} [{u}]" if (u := unit_v if n[0] == "V" else unit_a) else n for n in files.NAMES]
+    scale = np.repeat([scale_v, scale_a], 3)
+    return files.text(path, SAMPLES * scale, heads=heads)
+
+
+BASE = (563.0, 800.0)
+
+
+@pytest.mark.parametrize(
+    ("units", "scales", "likely"),
+    [
+        (("", ""), (1e-3, 1e-3), r"the voltage .*taken as V.* as kV would be 1 times"),
+        (("V", ""), (1.0, 1e-3), r"the current .*taken as A.* as kA would be 1 times"),
+        (("kV", "A"), (1.0, 1.0), "the voltage .*as its unit says.* as V would be 1 times"),
+        (("V", "kA"), (1.0, 1.0), "the current .*as its unit says.* as A would be 1 times"),
+        (("V", ""), (1.0, 0.05), "the current .*taken as A, no unit is given"),
+    ],
+)
+def test_values_far_from_their_rating_are_refused_with_the_likely_unit(tmp_path, units, scales, likely):
+    refused(in_units(tmp_path / "a.csv", *units, *scales), likely, base=BASE)
+
+
+@pytest.mark.parametrize("units", [("", ""), ("V", "A")])
+def test_the_unit_that_is_told_overrules_the_file(tmp_path, units):
+    path = in_units(tmp_path / "a.csv", *units, 1e-3, 1e-3)
+    assert difference(path, base=BASE, units={"voltage": "kV", "current": "kA"}) < 1e-12
+    if units[0]:
+        assert "the voltage is in kV, as asked, where the file says V" in notes(path, units={"voltage": "kV"})
+
+
+def test_a_device_at_rest_is_believed_where_its_unit_is_told(tmp_path):
+    path = in_units(tmp_path / "a.csv", "V", "A", 1.0, 0.01)
+    assert open_waveforms(path, "load", base=BASE).n_samples == N
+
+
+def test_a_voltage_of_next_to_nothing_without_any_unit_is_asked_about(tmp_path):
+    path = in_units(tmp_path / "a.csv", "", "", 1e-3, 1e-3)
+    refused(path, "has no unit and a size of 0.6896, line to line: in kV, or per unit")
+    assert difference(path, units={"voltage": "kV", "current": "kA"}) < 1e-12
+
+
+@pytest.mark.parametrize(("text", "factor"), [("mV", 1e-3), ("MV", 1e6), ("kV", 1e3), ("KV", 1e3), ("Volts", 1.0)])
+def test_capitals_tell_milli_from_mega(text, factor):
+    assert unit_of(text) == ("voltage", factor)
+
+
+def test_a_unit_that_is_none_is_refused():
+    with pytest.raises(SeqsweepError, match="--voltage-unit 'A': known are V, kV"):
+        parse_units("A", None)
