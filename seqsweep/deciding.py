@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,10 @@ def tune(
     y: FrequencyResponse | Table,
     grid: str | complex,
     *,
-    scale: float = 1.0,
+    scale: float | Sequence[float] = 1.0,
     margin: float = 1.4,
     stable_on: str | None = None,
+    exclude: Sequence[str] = (),
     confirm: bool = False,
     jobs: int | None = None,
 ) -> TuningResult:
@@ -38,13 +39,15 @@ def tune(
     y : FrequencyResponse or Table
         What was swept, identified or imported; pn frame.
     grid : str or complex
-        Grid impedance R + jX in ohm at f1, such as ``"0.012+0.25j"``.
-    scale : float
-        Multiplies the grid impedance.
+        Grid impedance R + jX in ohm at f1, such as ``"0.012+0.25j"``; "own": the one each point was swept for.
+    scale : float or sequence of float
+        Multiplies the grid impedance; several: one entry per operating point and scale.
     margin : float
         Magnitude margin m that the gain is made for.
     stable_on : str, optional
         Where the device was seen to be stable: "ideal", or R+jX in ohm at f1. A sweep knows it by itself.
+    exclude : sequence of str
+        Rows to leave out, as bands in Hz: ``["50-70"]``.
     confirm : bool
         Whether to sweep the device again with damping in place, until the margin holds.
     jobs : int, optional
@@ -60,9 +63,11 @@ def tune(
     SeqsweepError
         If something is wrong with what was asked.
     """
-    table = _stated(as_table(y), stable_on)
+    table = _without(_stated(as_table(y), stable_on), exclude)
     f1_hz = table.responses[0].f1_hz if table.responses else 50.0
-    result = tuned(table, parse_grid(str(grid).strip("()"), f1_hz, scale), margin=margin)
+    on = "own" if grid == "own" else parse_grid(str(grid).strip("()"), f1_hz)
+    scales = tuple(scale) if isinstance(scale, Sequence) else (scale,)
+    result = tuned(table, on, margin=margin, scales=scales)
     if not confirm:
         return result
     from .sweep.confirm import confirm as swept_again
@@ -78,6 +83,16 @@ def _stated(table: Table, stable_on: str | None) -> Table:
 
     fact = stated(stable_on)
     return Table(table.meta, tuple(with_statement(response, fact) for response in table.responses))
+
+
+def _without(table: Table, exclude: Sequence[str]) -> Table:
+    """The table without the rows that are to be left out."""
+    if not exclude:
+        return table
+    from .identify.exclusion import parse_bands, without_bands
+
+    bands = parse_bands(exclude)
+    return Table(table.meta, tuple(without_bands(response, bands) for response in table.responses))
 
 
 def verify(

@@ -13,17 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.fit.model import fit_response
-from ..identify.fit.rational import evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
 from ..plant.protocol import Plant
 from ..plant.registry import PlantCard
-from ..tuning.crossings import bode_crossings, critical_crossing
 from ..tuning.gain import GainSearch, search_gain
 from ..tuning.result import PointTuning, TuningResult, confirmed
 from ..tuning.siso import SeriesRL
-from ..tuning.verdict import swept_band
+from ..tuning.tune import tune_point
 from .config.sections import Config
 from .measure.linearity import judged
 from .measure.measure import measure
@@ -64,46 +61,51 @@ def confirm(
         If the table holds no campaign, or its plant offers no damping control.
     """
     config = _campaign(configuration)
-    if not isinstance(result.grid, SeriesRL):
-        raise ConfirmError(
-            "damping control is set by the R and L of a grid; this one is another network: tune on its R+jX at f1"
-        )
     todo = [point for point in result.points if point.f_r_hz is not None]
     if not todo:
         raise ConfirmError("nothing to confirm: no operating point has a resonance to set the damping control to")
-    margin_of = _margins(config, result.grid, jobs, report)
-    searches = _common_gain(todo, result, margin_of)
-    for op_id, search in searches.items():
-        result = confirmed(result, op_id, search)
+    if not all(isinstance(point.grid, SeriesRL) for point in todo):
+        raise ConfirmError(
+            "damping control is set by the R and L of a grid; this one is another network: tune on its R+jX at f1"
+        )
+    swept = _resweeps(config, result.margin_required, jobs, report)
+    searches = _common_gain(todo, result.margin_required, lambda point, k: measured_margin(swept(point, k)))
+    for point in todo:
+        search = searches[_key(point)]
+        result = confirmed(result, point, search, swept(point, search.k))
     return result
 
 
-def _common_gain(
-    todo: list[PointTuning], result: TuningResult, margin_of: Callable[[PointTuning, float], float]
-) -> dict[str, GainSearch]:
+def _key(point: PointTuning) -> tuple[str, float]:
+    return point.op_id, point.scale
+
+
+MarginOf = Callable[[PointTuning, float], float]
+"""m of an operating point re-swept with a gain."""
+
+
+def _common_gain(todo: list[PointTuning], required: float, margin_of: MarginOf) -> dict[tuple[str, float], GainSearch]:
     """One k that holds at every point of ``todo``, the neediest first, and each point's margin with it."""
-    required, k = result.margin_required, 0.0
-    searches: dict[str, GainSearch] = {}
+    k = 0.0
+    searches: dict[tuple[str, float], GainSearch] = {}
     for point in sorted(todo, key=_need):
         margin = margin_of(point, k) if searches else np.nan
         if not margin >= required:
             start = max(k, point.k or 0.0)
             search = search_gain(lambda gain, point=point: margin_of(point, gain), required, start)  # type: ignore[misc]
             k = max(k, search.k)
-            searches[point.op_id] = search
+            searches[_key(point)] = search
         else:
-            searches[point.op_id] = GainSearch(k, margin, True, ((k, margin),))
-    return {op_id: _at(search, k, margin_of, result, op_id) for op_id, search in searches.items()}
+            searches[_key(point)] = GainSearch(k, margin, True, ((k, margin),))
+    return {_key(point): _at(searches[_key(point)], k, point, margin_of, required) for point in todo}
 
 
-def _at(
-    search: GainSearch, k: float, margin_of: Callable[[PointTuning, float], float], result: TuningResult, op_id: str
-) -> GainSearch:
+def _at(search: GainSearch, k: float, point: PointTuning, margin_of: MarginOf, required: float) -> GainSearch:
     """The search as it ends at the common k."""
     if search.k == k:
         return search
-    margin = margin_of(result.point(op_id), k)
-    return GainSearch(k, margin, bool(margin >= result.margin_required), (*search.trials, (k, margin)))
+    margin = margin_of(point, k)
+    return GainSearch(k, margin, bool(margin >= required), (*search.trials, (k, margin)))
 
 
 def _need(point: PointTuning) -> tuple[int, float]:
@@ -117,28 +119,45 @@ def _campaign(configuration: Mapping[str, Any]) -> Config:
     return Config.from_dict(configuration)
 
 
-def _margins(config: Config, grid: SeriesRL, jobs: int, report: Report) -> Callable[[PointTuning, float], float]:
-    """m at the critical crossing of the device swept with damping gain k; kept, for a sweep is not asked twice."""
-    known: dict[tuple[str, float], float] = {}
+def _resweeps(
+    config: Config, required: float, jobs: int, report: Report
+) -> Callable[[PointTuning, float], PointTuning]:
+    """An operating point swept with damping gain k and judged on its grid; kept, for a sweep is not asked twice."""
+    known: dict[tuple[str, float, float], PointTuning] = {}
 
-    def margin_of(point: PointTuning, k: float) -> float:
-        if (point.op_id, k) not in known:
-            known[point.op_id, k] = margin_with(config, point.op_id, grid, k, point.f_r_hz, jobs)
-            report(f"{point.op_id}: k = {k:.4f} gives m = {known[point.op_id, k]:.4f}")
-        return known[point.op_id, k]
+    def swept(point: PointTuning, k: float) -> PointTuning:
+        key = (point.op_id, point.scale, k)
+        if key not in known:
+            assert isinstance(point.grid, SeriesRL)
+            known[key] = judged_with(config, point.op_id, point.grid, k, point.f_r_hz, jobs, required)
+            at = f" x{point.scale:g}" if point.scale != 1.0 else ""
+            report(f"{point.op_id}{at}: k = {k:.4f} gives m = {measured_margin(known[key]):.4f}")
+        return known[key]
 
-    return margin_of
+    return swept
 
 
 def margin_with(config: Config, op_id: str, grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int) -> float:
     """m of the reshaped device on ``grid``: infinite without a crossing, NaN where it cannot be swept."""
+    return measured_margin(judged_with(config, op_id, grid, k, f_r_hz, jobs))
+
+
+def measured_margin(point: PointTuning) -> float:
+    """m of a judged device: infinite without a crossing, NaN where there was nothing to judge."""
+    if point.stability is None:
+        return float("nan")
+    return float("inf") if point.margin_m is None else point.margin_m
+
+
+def judged_with(
+    config: Config, op_id: str, grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int, margin: float = 1.4
+) -> PointTuning:
+    """The device swept with damping gain ``k``, judged on ``grid``; "undecided" where half of its rows are not ok."""
     response = sweep_with_damping(config, op_id, grid, k, f_r_hz, jobs)
     if np.count_nonzero(response.ok) < len(response) // 2:
-        return float("nan")
-    model = fit_response(response)
-    crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
-    critical = critical_crossing(crossings, grid.f1_hz)
-    return float("inf") if critical is None else critical.m
+        reason = f"only {np.count_nonzero(response.ok)} of {len(response)} rows are ok with k = {k:.3g}"
+        return PointTuning(op_id, "undecided", reason, grid=grid)
+    return tune_point(response, grid, margin=margin)
 
 
 def sweep_with_damping(

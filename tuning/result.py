@@ -1,20 +1,19 @@
-"""What tuning found: values, JSON in the format ``seqsweep-tuning``, and a table for the terminal."""
+"""What tuning found: values, and JSON in the format ``seqsweep-tuning``."""
 
 from __future__ import annotations
 
 import json
-import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import floor, log10
+from math import isclose, isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..identify.fit.rational import RationalModel
-from ..identify.uncertainty import NORMAL_95
-from ..plant.errors import place_of
+from ..identify.response import FrequencyResponse
+from ..plant.errors import SeqsweepError, place_of
 from .crossings import Crossing
 from .gain import GainSearch
 from .intervals import Interval
@@ -23,7 +22,7 @@ from .siso import Grid
 from .verdict import Decision, Stability
 
 FORMAT = "seqsweep-tuning"
-VERSION = "1.1.0"
+VERSION = "1.2.0"
 SCHEMA = "seqsweep-tuning-1.schema.json"
 
 
@@ -35,6 +34,12 @@ class PointTuning:
     ----------
     op_id : str
         Operating point.
+    scale : float
+        What the grid was multiplied by.
+    grid : Grid or None
+        The grid, scale included.
+    response : FrequencyResponse or None
+        The rows it was judged by.
     verdict, reason : str
         "stable", "unstable" or "undecided", and why.
     probability : float or None
@@ -65,6 +70,8 @@ class PointTuning:
         m of the device re-swept with damping; None until confirmed.
     reached : bool or None
         Whether the required margin holds when re-swept; None until confirmed.
+    with_k : PointTuning or None
+        The device re-swept with damping, judged on the same grid; None until confirmed.
     warnings : tuple of str
         What the reader should know.
     """
@@ -87,7 +94,11 @@ class PointTuning:
     margin_m_predicted: float | None = None
     margin_m_with_k: float | None = None
     reached: bool | None = None
+    with_k: PointTuning | None = None
     warnings: tuple[str, ...] = ()
+    scale: float = 1.0
+    grid: Grid | None = None
+    response: FrequencyResponse | None = None
 
     @property
     def margin_m(self) -> float | None:
@@ -108,35 +119,46 @@ class PointTuning:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class TuningResult:
-    """Every operating point of a table on one grid.
+    """Every operating point of a table on one grid, or on several multiples of it.
 
     Attributes
     ----------
-    grid : Grid
-        The grid, scale included.
+    grid : Grid or None
+        What ``scales`` multiply; None: each operating point's own, the one it was swept for.
     margin_required : float
         The m that k is made for.
     points : tuple of PointTuning
-        In the table's order.
+        One per operating point and scale: in the table's order, and within a point in that of ``scales``.
     provenance : mapping
         Where the table came from; tool, grid and required margin are added when written.
+    scales : tuple of float
+        What the grid was multiplied by.
     """
 
-    grid: Grid
+    grid: Grid | None
     margin_required: float
     points: tuple[PointTuning, ...]
     provenance: Mapping[str, Any]
+    scales: tuple[float, ...] = (1.0,)
 
     @property
     def worst(self) -> PointTuning:
         """The operating point in greatest need: unstable before undecided before stable, then by the smallest m."""
         return min(self.points, key=_need)
 
-    def point(self, op_id: str) -> PointTuning:
-        """The operating point of that name; `SeqsweepError` where there is none."""
-        return self.points[place_of(op_id, [point.op_id for point in self.points], "the tuning result")]
+    def point(self, op_id: str, scale: float | None = None) -> PointTuning:
+        """The operating point of that name, at that scale or at its worst; SeqsweepError where there is none."""
+        place_of(op_id, list(dict.fromkeys(point.op_id for point in self.points)), "the tuning result")
+        named = [point for point in self.points if point.op_id == op_id]
+        found = [point for point in named if scale is None or isclose(point.scale, scale, rel_tol=1e-9)]
+        if not found:
+            known = ", ".join(f"{point.scale:g}" for point in named)
+            raise SeqsweepError(f"operating point {op_id!r} was not tuned at scale {scale:g}; its scales are {known}")
+        return min(found, key=_need)
 
     def __repr__(self) -> str:
+        from .text import format_table
+
         return format_table(self)
 
     def __getitem__(self, op_id: str) -> PointTuning:
@@ -144,21 +166,21 @@ class TuningResult:
 
     @property
     def verdict(self) -> Decision:
-        """ "stable", "unstable" or "undecided": that of the operating point in greatest need."""
+        """ "stable", "unstable" or "undecided": that of the entry in greatest need."""
         return self.worst.verdict
 
     @property
     def margin_m(self) -> float | None:
-        """m at the critical crossing of the operating point in greatest need."""
+        """m at the critical crossing of the entry in greatest need."""
         return self.worst.margin_m
 
     @property
     def k(self) -> float | None:
-        """Damping gain of the operating point in greatest need."""
+        """Damping gain of the entry in greatest need."""
         return self.worst.k
 
     def plot(self, ax: Any = None) -> Any:
-        """Bode, locus and poles of the operating point in greatest need, in matplotlib axes (6,), which are returned.
+        """Bode, locus and poles of the entry in greatest need, in matplotlib axes (6,), which are returned.
 
         ``ax`` says where to draw: such axes, or a single one for the locus.
         """
@@ -167,9 +189,10 @@ class TuningResult:
         return shown(self, ax)
 
 
-def confirmed(result: TuningResult, op_id: str, search: GainSearch) -> TuningResult:
-    """The result with the k and m that re-sweeping with damping gave for one operating point."""
-    point = result.point(op_id)
+def confirmed(
+    result: TuningResult, point: PointTuning, search: GainSearch, with_k: PointTuning | None = None
+) -> TuningResult:
+    """The result with what re-sweeping with damping gave for one of its entries: k, m, and the judgement with k."""
     warnings = point.warnings
     if not search.reached:
         warnings = (
@@ -177,13 +200,13 @@ def confirmed(result: TuningResult, op_id: str, search: GainSearch) -> TuningRes
             f"m = {result.margin_required:g} cannot be reached with damping: the best is m = {search.margin_m:.3g} "
             f"at k = {search.k:.3g}",
         )
-    margin = search.margin_m if np.isfinite(search.margin_m) else None
     settled = replace(
         point,
         k=search.k,
         margin_m_predicted=None,  # it belonged to the formula's k
-        margin_m_with_k=margin,
+        margin_m_with_k=search.margin_m if np.isfinite(search.margin_m) else None,
         reached=search.reached,
+        with_k=with_k,
         warnings=warnings,
     )
     return replace(result, points=tuple(settled if p is point else p for p in result.points))
@@ -198,21 +221,24 @@ def _need(point: PointTuning) -> tuple[int, float]:
 
 
 def to_json(result: TuningResult) -> dict[str, Any]:
-    """The result as plain JSON values; the schema is `schema`."""
+    """The result as plain JSON values; the schema is `schema`. Numbers that are not finite are null, with a reason."""
     from importlib.metadata import version
 
-    grid = result.grid
+    worst = result.worst
     return {
         "format": FORMAT,
         "version": VERSION,
         "provenance": {
             "tool": {"name": "seqsweep", "version": version("seqsweep")},
-            "grid": grid.described(),
+            "grid": None if result.points[0].grid is None else result.points[0].grid.described(),
+            "scales": list(result.scales),
+            "own_grid": result.grid is None,
             "margin_required": result.margin_required,
             "table": dict(result.provenance),
         },
-        "worst": result.worst.op_id,
-        "operating_points": [_point_json(point) for point in result.points],
+        "worst": worst.op_id,
+        "worst_scale": worst.scale,
+        "operating_points": [_entry_json(point, result.margin_required) for point in result.points],
     }
 
 
@@ -232,10 +258,35 @@ def schema() -> dict[str, Any]:
     return json.loads(files(__package__).joinpath("schema", SCHEMA).read_text(encoding="utf-8"))
 
 
-def _point_json(point: PointTuning) -> dict[str, Any]:
+def _entry_json(point: PointTuning, required: float) -> dict[str, Any]:
+    """One entry: every null has its reason in ``missing``."""
+    with_k = None if point.with_k is None else _judgement_json(point.with_k)
+    entry = {
+        "op_id": point.op_id,
+        "scale": point.scale,
+        "grid": None if point.grid is None else point.grid.described(),
+        **_judgement_json(point),
+        "margin_met": None if point.margin_m is None else point.margin_m >= required,
+        "critical_scr": point.critical_scr,
+        "margins": None if point.margins is None else point.margins._asdict(),
+        "passivity": None if point.passivity is None else dict(zip(("index_s", "f_hz"), point.passivity, strict=True)),
+        "participation": None if point.participation is None else point.participation._asdict(),
+        "k": point.k,
+        "k_basis": None if point.k is None else "formula" if point.reached is None else "re-swept",
+        "f_r_hz": point.f_r_hz,
+        "margin_m_predicted": point.margin_m_predicted,
+        "margin_m_with_k": point.margin_m_with_k,
+        "reached": point.reached,
+        "with_k": with_k,
+        "fit": _fit_json(point.model),
+        "warnings": list(point.warnings),
+    }
+    return {**_finite(entry), "missing": _missing(entry, point)}
+
+
+def _judgement_json(point: PointTuning) -> dict[str, Any]:
     crossing = point.critical_crossing
     return {
-        "op_id": point.op_id,
         "verdict": point.verdict,
         "reason": point.reason,
         "probability": point.probability,
@@ -246,18 +297,64 @@ def _point_json(point: PointTuning) -> dict[str, Any]:
         "resonance_hz": None if point.resonance_hz is None else list(point.resonance_hz),
         "critical_scale": point.critical_scale,
         **_interval_json("critical_scale", point.scale_interval),
-        "critical_scr": point.critical_scr,
-        "margins": None if point.margins is None else point.margins._asdict(),
-        "passivity": None if point.passivity is None else dict(zip(("index_s", "f_hz"), point.passivity, strict=True)),
-        "participation": None if point.participation is None else point.participation._asdict(),
-        "k": point.k,
-        "f_r_hz": point.f_r_hz,
-        "margin_m_predicted": point.margin_m_predicted,
-        "margin_m_with_k": point.margin_m_with_k,
-        "reached": point.reached,
-        "fit": _fit_json(point.model),
-        "warnings": list(point.warnings),
     }
+
+
+def _finite(value: Any) -> Any:
+    """The same values with null for every number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    if isinstance(value, np.generic):
+        return _finite(value.item())
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether every number in it is finite."""
+    if isinstance(value, Mapping):
+        return all(_is_finite(each) for each in value.values())
+    if isinstance(value, list | tuple):
+        return all(_is_finite(each) for each in value)
+    return not isinstance(value, float | np.floating) or isfinite(value)
+
+
+def _missing(entry: Mapping[str, Any], point: PointTuning) -> dict[str, str]:
+    """Why an entry holds nulls, by key: what could not be found, and what has no finite value."""
+    absent = {key: _why_none(key, point) for key, value in entry.items() if value is None}
+    unbounded = {key: _UNBOUNDED for key, value in entry.items() if not _is_finite(value)}
+    open_ended = {
+        key: _OPEN_ENDED for key in ("margin_m_interval", "critical_scale_interval") if (entry[key] or [0])[-1] is None
+    }
+    return {**absent, **unbounded, **open_ended}
+
+
+_UNBOUNDED = "it has no finite value: the noise of the table leaves it without a bound"
+_OPEN_ENDED = "no upper end: within the noise the crossing may not exist"
+_NO_CROSSING = "Y1 has no 180-degree crossing above f1 inside the swept band"
+_NO_RESONANCE = "no oscillating mode inside the swept band is carried by the data: there is nothing to damp"
+_NO_EDGE = "no multiple of this grid that was looked at brings the loop to the edge of stability"
+_UNCONFIRMED = dict.fromkeys(
+    ("margin_m_with_k", "reached", "with_k"), "not confirmed: tune --confirm sweeps the device again with damping"
+)
+_WHY = {
+    **dict.fromkeys(("margin_m", "margin_m_std", "margin_m_interval", "margin_met"), _NO_CROSSING),
+    "critical_crossing_hz": _NO_CROSSING,
+    **dict.fromkeys(("resonance_hz", "participation", "k", "k_basis", "f_r_hz"), _NO_RESONANCE),
+    **dict.fromkeys(("critical_scale", "critical_scale_std", "critical_scale_interval"), _NO_EDGE),
+    "critical_scr": f"{_NO_EDGE}, or the rated values of the table are not known",
+    "margin_m_predicted": "there is no k by the formula, or no crossing is left with it",
+}
+
+
+def _why_none(key: str, point: PointTuning) -> str:
+    """The reason for a quantity that is not there."""
+    if key in _UNCONFIRMED and point.reached is None:
+        return _UNCONFIRMED[key]
+    if point.stability is None:
+        return point.reason
+    return _WHY.get(key, "not known for this device and grid")
 
 
 def _interval_json(name: str, interval: Interval | None) -> dict[str, Any]:
@@ -318,89 +415,5 @@ def _fit_json(model: RationalModel | None) -> dict[str, Any] | None:
         "weighting": model.weighting,
         "poles": [[float(p.real), float(p.imag)] for p in model.poles[upper]],
         "ranks": model.ranks[upper].tolist(),
+        "remarks": list(model.remarks),
     }
-
-
-# The terminal ------------------------------------------------------------------------------------------------------
-
-
-def format_table(result: TuningResult, width: int = 80) -> str:
-    """The result as plain text no wider than ``width``: one line per operating point, then the remarks.
-
-    Columns that do not fit are left out from the right; op, verdict, m and k always stay.
-    """
-    rows = [_row(point) for point in result.points]
-    names = list(rows[0])
-    for name in ("P stable", "SCR crit", "m predicted", "damping", "Z crit", "m with k", "resonance Hz"):
-        if _table_width(rows, names) > width:
-            names.remove(name)
-    grid = result.grid
-    head = f"Z = {grid.label}, required m = {result.margin_required:g}"
-    lines = [*_wrapped(head, width), "", *_aligned(rows, names), ""]
-    if any("+-" in row[name] for row in rows for name in names):
-        lines += _wrapped("+-: 95 % intervals, from the noise of the table's rows", width)
-    lines += _wrapped(f"worst operating point: {result.worst.op_id}", width)
-    for point in result.points:
-        for remark in _remarks(point):
-            lines += _wrapped(f"{point.op_id}: {remark}", width)
-    return "\n".join(lines)
-
-
-def _row(point: PointTuning) -> dict[str, str]:
-    loop = None if point.stability is None else point.stability.closed_loop
-    damping = None if loop is None or loop.critical is None else 100.0 * float(loop.damping[loop.critical])
-    pair = point.resonance_hz
-    return {
-        "op": point.op_id,
-        "verdict": point.verdict,
-        "P stable": "-" if point.probability is None else f"{point.probability:.3g}",
-        "m": with_doubt(point.margin_m, point.margin_interval),
-        "resonance Hz": "-" if pair is None else f"{pair[0]:.2f}/{pair[1]:.2f}",
-        "damping": "-" if damping is None else f"{damping:.1f} %",
-        "Z crit": "-" if point.critical_scale is None else f"x{with_doubt(point.critical_scale, point.scale_interval)}",
-        "SCR crit": _number(point.critical_scr, ".3f"),
-        "k": _number(point.k, ".3f"),
-        "m predicted": _number(point.margin_m_predicted, ".3f"),
-        "m with k": _number(point.margin_m_with_k, ".3f"),
-    }
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def with_doubt(value: float | None, interval: Interval | None, digits: int = 3) -> str:
-    """``0.98 +- 0.02``: a number and half its 95 % interval, where that shows in so many digits."""
-    if value is None or interval is None or NORMAL_95 * interval.std < 0.5 * 10.0**-digits:
-        return _number(value, f".{digits}f")
-    if interval.high is None:
-        return f"{value:.{digits}f} (> {interval.low:.2g})"
-    half = (interval.high - interval.low) / 2.0
-    digits = min(digits, max(1, -floor(log10(half))))
-    return f"{value:.{digits}f} +- {half:.{digits}f}"
-
-
-def _remarks(point: PointTuning) -> list[str]:
-    note = "" if point.stability is None else point.stability.bode_note
-    reason = "" if point.verdict == "stable" else f"{point.verdict}, {point.reason}"
-    return [text for text in (reason, note, *point.warnings) if text]
-
-
-def _aligned(rows: list[dict[str, str]], names: list[str]) -> list[str]:
-    widths = {name: max(len(name), *(len(row[name]) for row in rows)) for name in names}
-    text = ("op", "verdict")
-    lines = [{name: name for name in names}, {name: "-" * widths[name] for name in names}, *rows]
-    return [
-        "  ".join(
-            line[name].ljust(widths[name]) if name in text else line[name].rjust(widths[name]) for name in names
-        ).rstrip()
-        for line in lines
-    ]
-
-
-def _table_width(rows: list[dict[str, str]], names: list[str]) -> int:
-    return max(len(line) for line in _aligned(rows, names))
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, max(width, 20), subsequent_indent="  ")

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from ..identify.exclusion import excluded
 from ..identify.fit.dq_data import to_dq
 from ..identify.fit.model import MIN_POINTS, fit_response
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError
-from .anchor import anchor_of
+from .anchor import Anchor, anchor_of
 from .gain import gain_for_margin, predicted_crossing
 from .grid_check import grid_warnings
 from .intervals import margin_interval, scale_interval
 from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
 from .result import PointTuning, TuningResult
-from .rows import rows_of
-from .siso import Grid, check_fundamental
+from .rows import Rows, rows_of
+from .siso import Grid, SeriesRL, check_fundamental
 from .verdict import Stability, judge, swept_band
 
 if TYPE_CHECKING:
@@ -33,28 +35,31 @@ MAX_MISFIT = 0.03
 
 def tune(
     table: Table | Sequence[FrequencyResponse],
-    grid: Grid,
+    grid: Grid | Literal["own"],
     *,
     margin: float = 1.4,
     op_ids: Iterable[str] | None = None,
+    scales: Sequence[float] = (1.0,),
 ) -> TuningResult:
-    """Judge every operating point of a table on a grid and propose the damping gain.
+    """Judge every operating point of a table on a grid, or on multiples of it, and propose the damping gain.
 
     Parameters
     ----------
     table : Table or sequence of FrequencyResponse
         Responses in the pn frame, load direction, one fundamental.
-    grid : Grid
-        The grid, scale included, at the table's fundamental.
+    grid : Grid or "own"
+        The grid at the table's fundamental; "own": each operating point on the grid it was swept for.
     margin : float
         Required magnitude margin m at the critical crossing.
     op_ids : iterable of str or None
         Only these operating points; None: all.
+    scales : sequence of float
+        What the grid is multiplied by.
 
     Returns
     -------
     TuningResult
-        One entry per operating point, in the table's order. What the table cannot answer is "undecided".
+        One entry per operating point and scale, in the table's order. What the table cannot answer is "undecided".
 
     Raises
     ------
@@ -63,14 +68,36 @@ def tune(
     """
     responses, meta = _opened(table)
     responses = _chosen(responses, op_ids)
-    _check(responses, grid, margin)
-    bases = meta.get("bases", {})
     swept = _swept_grids(meta)
+    grids = [own_grid(r, swept.get(r.meta.get("op_id"))) if grid == "own" else grid for r in responses]
+    _check(responses, grids, margin, scales)
+    bases = meta.get("bases", {})
     points = tuple(
-        tune_point(response, grid, margin=margin, bases=bases, swept_grid=swept.get(response.meta.get("op_id")))
-        for response in responses
+        replace(_judged(device, on.scaled(scale), margin, bases, swept.get(device.op_id)), scale=scale)
+        for device, on in zip(map(_fitted, responses), grids, strict=True)
+        for scale in scales
     )
-    return TuningResult(grid, margin, points, _provenance(meta))
+    return TuningResult(None if grid == "own" else grid, margin, points, _provenance(meta), tuple(scales))
+
+
+def own_grid(response: FrequencyResponse, swept: Mapping[str, Any] | None) -> Grid:
+    """The grid an operating point was swept for: its own in the campaign, else the one the device was fed through.
+
+    Raises
+    ------
+    SeqsweepError
+        If the table names none.
+    """
+    known = (response.meta.get("stable_on") or {}).get("grid")
+    if swept is not None:
+        scale = swept.get("scale") or 1.0
+        return SeriesRL(swept["r_ohm"] * scale, swept["x_ohm"] * scale, response.f1_hz)
+    if isinstance(known, Mapping):
+        return SeriesRL(known["r_ohm"], known["x_ohm"], response.f1_hz)
+    raise SeqsweepError(
+        f"operating point {response.meta.get('op_id')!r} was swept on an ideal source for no grid in particular: give "
+        "--grid R+jX, or sweep it with grid = { r_ohm, x_ohm, voltage_pu } in the operating point"
+    )
 
 
 def tune_point(
@@ -86,23 +113,36 @@ def tune_point(
     ``bases`` (rated_voltage_v, rated_power_va) give the short-circuit ratio; ``swept_grid`` (r_ohm, x_ohm, scale) is
     the grid whose load flow set |v_pcc| in the sweep, where there was one.
     """
-    bases = bases or {}
-    op_id = str(response.meta.get("op_id", ""))
-    at = {**response.meta, "grid": swept_grid or response.meta.get("grid")}
-    warnings = (*_row_warnings(response), *grid_warnings(at, bases, grid))
+    return _judged(_fitted(response), grid, margin, bases or {}, swept_grid)
+
+
+class _Device(NamedTuple):
+    """An operating point as it is judged on any grid; ``problem`` says why it cannot be."""
+
+    response: FrequencyResponse
+    rows: Rows | None = None
+    anchor: Anchor | None = None
+    model: RationalModel | None = None
+    problem: str = ""
+
+    @property
+    def op_id(self) -> str:
+        return str(self.response.meta.get("op_id", ""))
+
+
+def _fitted(response: FrequencyResponse) -> _Device:
+    """Rows, what was proved of the device, and its rational model: what does not depend on the grid."""
     usable = int(np.sum(response.usable))
     if usable < MIN_POINTS:
-        reason = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
-        return PointTuning(op_id, "undecided", reason, warnings=warnings)
+        problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
+        return _Device(response, problem=problem)
     rows = rows_of(to_dq(response))
     anchor = anchor_of(response.meta, rows, response.f1_hz)
     model = fit_response(response, n_unstable=anchor.n_unstable)
     misfit = relative_misfit(model, response)
-    if misfit > _acceptable_misfit(response):
-        reason = f"no rational model describes the table: its median misfit is {misfit:.1%}"
-        return PointTuning(op_id, "undecided", reason, model=model, warnings=warnings)
-    stability = judge(model, grid, rows, anchor)
-    return _judged(op_id, model, grid, stability, margin, bases, (*warnings, *model.notes))
+    bad = misfit > _acceptable_misfit(response)
+    problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
+    return _Device(response, rows, anchor, model, problem)
 
 
 def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
@@ -113,14 +153,17 @@ def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
 
 
 def _judged(
-    op_id: str,
-    model: RationalModel,
-    grid: Grid,
-    stability: Stability,
-    margin: float,
-    bases: Mapping[str, Any],
-    warnings: tuple[str, ...],
+    device: _Device, grid: Grid, margin: float, bases: Mapping[str, Any], swept_grid: Mapping[str, Any] | None
 ) -> PointTuning:
+    """The operating point on one grid."""
+    response, model = device.response, device.model
+    at = {**response.meta, "grid": swept_grid or response.meta.get("grid")}
+    warnings = (*_row_warnings(response), *grid_warnings(at, bases, grid))
+    if device.problem or model is None:
+        return PointTuning(
+            device.op_id, "undecided", device.problem, model=model, warnings=warnings, grid=grid, response=response
+        )
+    stability = judge(model, grid, device.rows, device.anchor)
     loop = stability.closed_loop
     edge = critical_scale(model, grid)
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
@@ -129,7 +172,7 @@ def _judged(
     if edge is not None and {"rated_voltage_v", "rated_power_va"} <= set(bases):
         scr = critical_scr(edge, grid, bases["rated_voltage_v"], bases["rated_power_va"])
     return PointTuning(
-        op_id=op_id,
+        op_id=device.op_id,
         verdict=stability.verdict,
         reason=stability.reason,
         probability=stability.probability,
@@ -145,7 +188,9 @@ def _judged(
         k=k,
         f_r_hz=None if part is None else part.f_hz,
         margin_m_predicted=predicted,
-        warnings=(*warnings, *_gain_warnings(stability)),
+        warnings=(*warnings, *model.notes, *_gain_warnings(stability)),
+        grid=grid,
+        response=response,
     )
 
 
@@ -176,9 +221,14 @@ def _least_passive(model: RationalModel) -> tuple[float, float]:
 
 
 def _row_warnings(response: FrequencyResponse) -> tuple[str, ...]:
-    status = np.asarray(response.status)
-    left_out, noisy = Counter(status[~response.usable].tolist()), int(np.sum(response.usable & ~response.ok))
+    status, asked = np.asarray(response.status), excluded(response)
+    left_out = Counter(status[~response.usable & ~asked].tolist())
+    noisy = int(np.sum(response.usable & ~response.ok))
     remarks = []
+    if np.any(asked):
+        f_hz = np.asarray(response.f_hz)[asked]
+        band = f"{f_hz[0]:g} to {f_hz[-1]:g} Hz" if len(f_hz) > 1 else f"{f_hz[0]:g} Hz"
+        remarks.append(f"{len(f_hz)} of {len(response)} rows, {band}, were left out as asked (--exclude)")
     if left_out:
         text = ", ".join(f"{status} {count}" for status, count in sorted(left_out.items()))
         remarks.append(f"{left_out.total()} of {len(response)} rows are not ok and were left out ({text})")
@@ -211,7 +261,9 @@ def _chosen(responses: Sequence[FrequencyResponse], op_ids: Iterable[str] | None
     return [by_id[op_id] for op_id in wanted]
 
 
-def _check(responses: Sequence[FrequencyResponse], grid: Grid, margin: float) -> None:
+def _check(
+    responses: Sequence[FrequencyResponse], grids: Sequence[Grid], margin: float, scales: Sequence[float]
+) -> None:
     if not responses:
         raise SeqsweepError("the table holds no operating point")
     if not margin > 0.0:
@@ -220,7 +272,11 @@ def _check(responses: Sequence[FrequencyResponse], grid: Grid, margin: float) ->
     if len(fundamentals) > 1:
         text = ", ".join(f"{f1:g}" for f1 in fundamentals)
         raise SeqsweepError(f"the table holds {len(fundamentals)} fundamentals ({text} Hz): tune them one by one")
-    check_fundamental(fundamentals[0], grid)
+    if not scales or not all(np.isfinite(scale) and scale > 0.0 for scale in scales):
+        text = ", ".join(f"{scale:g}" for scale in scales) or "none"
+        raise SeqsweepError(f"scales {text}: needed are numbers above 0; they multiply the grid impedance")
+    for grid in grids:
+        check_fundamental(fundamentals[0], grid)
     for response in responses:
         if response.frame != "pn":
             raise SeqsweepError(f"{response.meta.get('op_id')}: tuning reads the pn frame, given is {response.frame!r}")

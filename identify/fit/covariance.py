@@ -32,7 +32,12 @@ _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a 
 
 
 def finished(
-    problem: Problem, f1_hz: float, trial: Trial, notes: tuple[str, ...], whole_ranks: bool = False
+    problem: Problem,
+    f1_hz: float,
+    trial: Trial,
+    notes: tuple[str, ...],
+    remarks: tuple[str, ...] = (),
+    whole_ranks: bool = False,
 ) -> RationalModel:
     """The model with the poles of ``trial``; with ``whole_ranks`` as it is, neither cut nor compared with a rival."""
     linear = solve_residues(problem, trial.poles, trial.tail)
@@ -64,22 +69,23 @@ def finished(
         rival_share=rival_share,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
+        remarks=remarks,
     )
     return _with_sign_notes(model)
 
 
 def _with_sign_notes(model: RationalModel) -> RationalModel:
     """Note every pole in the right half-plane, and every lightly damped one whose half-plane the data leave open."""
-    noted = []
+    noted, remarked = [], []
     for pole, std in zip(model.poles, model.pole_std, strict=True):
         text = f"{pole.real:+.3g} +- {std.real:.2g} rad/s, {abs(pole.imag) / (2.0 * np.pi):.3g} Hz (dq)"
         unswept = abs(pole) < 2.0 * np.pi * model.nu_hz[0]
         is_open = abs(pole.real) < min(2.0 * std.real, _LIGHT * abs(pole)) or (pole.real > 0.0 and unswept)
         if pole.imag >= 0.0 and is_open:
-            noted.append(f"the half-plane of the device's own pole at {text} is not decided by the data")
+            remarked.append(f"the half-plane of the device's own pole at {text} is not decided by the data")
         elif pole.imag >= 0.0 and pole.real > 0.0:
             noted.append(f"the device is unstable on an ideal source: it has a pole of its own at {text}")
-    return replace(model, notes=(*model.notes, *noted))
+    return replace(model, notes=(*model.notes, *noted), remarks=(*model.remarks, *remarked))
 
 
 # The rival -----------------------------------------------------------------------------------------------------------

@@ -104,7 +104,7 @@ def fit_response(
     trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_instability(problem, trial)
-    return finished(problem, response.f1_hz, trial, notes + removed + mirrored)
+    return finished(problem, response.f1_hz, trial, notes, removed + mirrored)
 
 
 def _proved(response: FrequencyResponse) -> int | None:

@@ -62,7 +62,9 @@ class RationalModel:
     pole_std : (m,) complex
         Standard errors of the poles, real part + 1j imaginary part (rad/s).
     notes : tuple of str
-        What was decided on the way: poles mirrored, poles whose sign the data leave open.
+        What the reader of a result should know: rows that were left out, an instability of the device's own.
+    remarks : tuple of str
+        What was decided on the way and asks for nothing: faint poles left out, signs that the data leave open.
     """
 
     f1_hz: float
@@ -83,6 +85,7 @@ class RationalModel:
     rival_share: float
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def order(self) -> int:

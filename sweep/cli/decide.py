@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,38 +19,50 @@ from .shared import (
     Settings,
     StableOn,
     TableFile,
+    WrongInput,
     check_outputs,
     planned_of,
 )
 
 if TYPE_CHECKING:
-    from ...identify.response import FrequencyResponse
+    from ...identify.table.read import Table
 
 
 def tune(
     table: TableFile,
-    grid: Annotated[str, typer.Option(metavar="R+jX", help="Grid impedance in ohm at f1, such as 0.012+0.25j.")],
-    scale: Annotated[float, typer.Option(help="Multiplies the grid impedance.")] = 1.0,
+    grid: Annotated[
+        str,
+        typer.Option(
+            metavar="R+jX|own", help="Grid in ohm at f1, such as 0.012+0.25j; own: the one each point was swept for."
+        ),
+    ],
+    scale: Annotated[
+        str, typer.Option(metavar="X[,X...]", help="Multiplies the grid impedance; several: a verdict for each.")
+    ] = "1",
     margin: Annotated[float, typer.Option(help="Required magnitude margin m.")] = 1.4,
     op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="TUNING.json", help="Write JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode, locus and poles: .png, .svg, .pdf.")] = None,
     confirm: Annotated[bool, typer.Option("--confirm", help="Sweep again with damping and iterate k.")] = False,
     stable_on: StableOn = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="HZ-HZ", help="Leave these rows out, such as 50-70; repeatable.")
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm.")] = os.cpu_count() or 1,
     force: Force = False,
 ) -> None:
     """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
     from ...identify.table.read import read_table
-    from ...tuning.result import format_table, write_json
+    from ...tuning.result import write_json
     from ...tuning.siso import parse_grid
+    from ...tuning.text import format_table
     from ...tuning.tune import tune as judge
 
     check_outputs(output, force, plot)
-    content = read_table(table)
-    if stable_on is not None:
-        content = replace(content, responses=_stated(content.responses, stable_on))
-    result = judge(content, parse_grid(grid, content.meta["f1_hz"], scale), margin=margin, op_ids=op)
+    scales = _scales(scale)
+    content = _as_told(read_table(table), stable_on, exclude or ())
+    on = "own" if grid.strip().lower() == "own" else parse_grid(grid, content.meta["f1_hz"])
+    result = judge(content, on, margin=margin, op_ids=op, scales=scales)
     if confirm:
         from ..confirm import confirm as confirm_gain
 
@@ -62,15 +75,33 @@ def tune(
     if plot is not None:
         from ...tuning.figures import plot_result
 
-        plot_result(result, plot, result.worst.op_id)
+        plot_result(result, plot)
 
 
-def _stated(responses: Sequence[FrequencyResponse], stable_on: str) -> tuple[FrequencyResponse, ...]:
-    """The responses of a table with what the user knows of the device."""
+def _as_told(table: Table, stable_on: str | None, exclude: Sequence[str]) -> Table:
+    """The table with what the user knows of the device, and without the rows that are to be left out."""
+    from ...identify.exclusion import parse_bands, without_bands
     from ...identify.operating_state import stated, with_statement
 
-    fact = stated(stable_on)
-    return tuple(with_statement(response, fact) for response in responses)
+    responses = table.responses
+    if stable_on is not None:
+        fact = stated(stable_on)
+        responses = tuple(with_statement(response, fact) for response in responses)
+    if exclude:
+        bands = parse_bands(exclude)
+        responses = tuple(without_bands(response, bands) for response in responses)
+    return replace(table, responses=responses)
+
+
+def _scales(text: str) -> tuple[float, ...]:
+    """One or several scales, as ``1.0,1.2,1.4``."""
+    try:
+        scales = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        scales = ()
+    if not scales or not all(isfinite(scale) and scale > 0.0 for scale in scales):
+        raise WrongInput(f"--scale {text!r}: needed are numbers above 0, separated by commas, such as 1.0,1.2,1.4")
+    return tuple(dict.fromkeys(scales))
 
 
 def verify(
@@ -79,6 +110,7 @@ def verify(
         Path | None, typer.Option(metavar="TABLE.parquet", help="Damping stops where this table says stable.")
     ] = None,
     op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point; by default the worst.")] = None,
+    scale: Annotated[float | None, typer.Option(help="Which of its scales, where it was tuned at several.")] = None,
     scenario: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="What happens; by default a step onto the tuned grid.")
     ] = None,
@@ -91,7 +123,7 @@ def verify(
 
     check_outputs(output, force, plot)
     width = shutil.get_terminal_size((100, 24)).columns
-    typer.echo(verified(VerifyJob(tuning, table, op, scenario, output, plot, width)))
+    typer.echo(verified(VerifyJob(tuning, table, op, scale, scenario, output, plot, width)))
 
 
 def grid(

@@ -31,6 +31,8 @@ class Question(NamedTuple):
         The content of a tuning's JSON.
     op_id : str or None
         Operating point; by default the worst.
+    scale : float or None
+        Which of its scales, where it was tuned at several.
     story : Story or None
         What happens; by default a step onto the tuned grid.
     swept : FrequencyResponse or None
@@ -41,6 +43,7 @@ class Question(NamedTuple):
     op_id: str | None = None
     story: Story | None = None
     swept: FrequencyResponse | None = None
+    scale: float | None = None
 
 
 def verification(question: Question, spec: PlantSpec | None = None, isolate: bool | None = None) -> Verification:
@@ -68,7 +71,7 @@ def verification(question: Question, spec: PlantSpec | None = None, isolate: boo
 
 def answer(question: Question, plant: Plant | None = None) -> Verification:
     """Both runs of ``plant``, in this process; without one, of the one that the tuning names."""
-    tuned = tuned_of(question.tuning, question.op_id, plant)
+    tuned = tuned_of(question.tuning, question.op_id, plant, question.scale)
     cause_gone = None if question.swept is None else cause_gone_of(question.swept)
     return verify(tuned, question.story, cause_gone)
 
@@ -85,6 +88,7 @@ class VerifyJob(NamedTuple):
     tuning: Path
     table: Path | None
     op: str | None
+    scale: float | None
     scenario: Path | None
     output: Path | None
     plot: Path | None
@@ -96,7 +100,7 @@ def verified(job: VerifyJob) -> str:
     tuning = read_tuning(job.tuning)
     swept = None if job.table is None else read_table(job.table).response(job.op or tuning["worst"])
     story = None if job.scenario is None else read_story(job.scenario)
-    result = verification(Question(tuning, job.op, story, swept))
+    result = verification(Question(tuning, job.op, story, swept, job.scale))
     if job.output is not None:
         write_json(result, job.output)
     if job.plot is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +63,10 @@ def read_tuning(path: str | Path) -> dict[str, Any]:
     return content
 
 
-def tuned_of(content: Mapping[str, Any], op_id: str | None = None, plant: Plant | None = None) -> Tuned:
-    """Device, grid and damping control of one operating point; by default of the worst.
+def tuned_of(
+    content: Mapping[str, Any], op_id: str | None = None, plant: Plant | None = None, scale: float | None = None
+) -> Tuned:
+    """Device, grid and damping control of one operating point at one scale; by default of the worst.
 
     The device is ``plant``, or the one that the campaign in the tuning names.
 
@@ -74,7 +77,7 @@ def tuned_of(content: Mapping[str, Any], op_id: str | None = None, plant: Plant 
     """
     from ..config.sections import Config
 
-    point = _point(content, op_id or content["worst"])
+    point = _point(content, op_id or content["worst"], scale)
     configuration = content["provenance"]["table"].get("configuration", {})
     if "plant" not in configuration:
         raise VerifyError("the tuning names no campaign to drive: recordings and imports cannot be verified in time")
@@ -85,7 +88,7 @@ def tuned_of(content: Mapping[str, Any], op_id: str | None = None, plant: Plant 
     if not isinstance(plant, MeasuredPlant):
         raise VerifyError(f"{plant.id} has no measurement port: damping control cannot act on it, nor events in time")
     section = next(section for section in config.operating_point if section.id == point["op_id"])
-    u, pcc_pu, grid = plant.rating.voltage_v, section.terminal_voltage_pu, content["provenance"]["grid"]
+    u, pcc_pu, grid = plant.rating.voltage_v, section.terminal_voltage_pu, _grid(content, point)
     return Tuned(
         op_id=section.id,
         plant=plant,
@@ -122,9 +125,27 @@ def settings_of(tuned: Tuned) -> DampingSettings:
     )
 
 
-def _point(content: Mapping[str, Any], op_id: str) -> Mapping[str, Any]:
-    points = content["operating_points"]
-    return points[place_of(op_id, [point["op_id"] for point in points], "the tuning", VerifyError)]
+def _point(content: Mapping[str, Any], op_id: str, scale: float | None) -> Mapping[str, Any]:
+    """The entry of an operating point at a scale; what is not said is that of the worst entry, or the only one."""
+    entries = content["operating_points"]
+    place_of(op_id, list(dict.fromkeys(entry["op_id"] for entry in entries)), "the tuning", VerifyError)
+    named = [(entry.get("scale", 1.0), entry) for entry in entries if entry["op_id"] == op_id]
+    if scale is None and op_id == content["worst"]:
+        scale = content.get("worst_scale")
+    found = [entry for at, entry in named if scale is None or isclose(at, scale, rel_tol=1e-9)]
+    if len(found) != 1:
+        known = ", ".join(f"{at:g}" for at, _ in named)
+        asked = "at which of its scales?" if scale is None else f"there is no scale {scale:g}."
+        raise VerifyError(f"operating point {op_id!r}: {asked} It was tuned at {known} (--scale X)")
+    return found[0]
+
+
+def _grid(content: Mapping[str, Any], point: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The grid of an entry, scale included; that of the whole tuning before version 1.2."""
+    grid: Mapping[str, Any] = point.get("grid") or content["provenance"]["grid"]
+    if grid.get("kind", "series_rl") != "series_rl":
+        raise VerifyError(f"{point['op_id']} was tuned on a grid that is no R + jX: the device cannot be driven on it")
+    return grid
 
 
 def _source_voltage_v(tuned: Tuned) -> float:

@@ -24,8 +24,8 @@ from seqsweep.tuning.intervals import Gain, Interval, interval_at, margin_interv
 from seqsweep.tuning.margins import critical_scale
 from seqsweep.tuning.poles import mode_weight
 from seqsweep.tuning.remedy import remedy
-from seqsweep.tuning.result import format_table, with_doubt
 from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, siso
+from seqsweep.tuning.text import format_table, with_doubt
 from seqsweep.tuning.tune import tune
 from seqsweep.tuning.verdict import judge
 

@@ -117,7 +117,7 @@ def test_faint_systematic_error_makes_no_unstable_device() -> None:
     y = turbine().y * (1.0 + 1e-5 * (F_HZ / 1000.0) ** 2 * (1.0 + 0.3j))[:, None, None]
     model = fit_response(FrequencyResponse(F_HZ, y, F1_HZ))
     assert model.n_unstable == 0
-    assert "left out of the fit" in model.notes[0]
+    assert "left out of the fit" in model.remarks[0]
 
 
 def test_standard_errors_of_the_poles_are_calibrated() -> None:

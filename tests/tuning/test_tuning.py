@@ -19,11 +19,13 @@ from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.format import TableError
 from seqsweep.identify.table.read import read_table
 from seqsweep.identify.table.write import write_table
-from seqsweep.tuning.figures import bode_figure, locus_figure, plot_result, pole_figure
+from seqsweep.identify.views import style
+from seqsweep.tuning.figures import bode_figure, locus_figure, plot_result, pole_figure, result_figure
 from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
 from seqsweep.tuning.grid_check import grid_warnings, source_voltage_v
-from seqsweep.tuning.result import TuningResult, confirmed, format_table, schema, to_json, write_json
+from seqsweep.tuning.result import TuningResult, confirmed, schema, to_json, write_json
 from seqsweep.tuning.siso import SeriesRL, parse_grid, siso
+from seqsweep.tuning.text import format_table
 from seqsweep.tuning.tune import tune, tune_point
 
 from ..identify.test_fit import F1_HZ, F_HZ, U_V, circuit, turbine
@@ -333,11 +335,11 @@ def test_search_survives_gains_that_cannot_be_measured() -> None:
 
 
 def test_confirmation_replaces_k_and_says_what_was_not_reached(result: TuningResult) -> None:
-    done = confirmed(result, "p650", search_gain(re_swept, 1.4, 0.357))
+    done = confirmed(result, result.point("p650"), search_gain(re_swept, 1.4, 0.357))
     assert done.point("p650").reached is True
     assert done.point("p650").margin_m_with_k == pytest.approx(1.4, rel=6e-3)
     assert done.point("p300") == result.point("p300")
-    failed = confirmed(result, "p650", search_gain(lambda k: 0.9 + 0.1 * k, 1.4, 0.357))
+    failed = confirmed(result, result.point("p650"), search_gain(lambda k: 0.9 + 0.1 * k, 1.4, 0.357))
     assert failed.point("p650").reached is False
     assert "m = 1.4 cannot be reached" in failed.point("p650").warnings[-1]
     jsonschema.validate(to_json(failed), schema())
@@ -392,24 +394,85 @@ def test_unknown_operating_point_of_a_result_is_named(result: TuningResult) -> N
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
+def texts_of(figure) -> list[str]:
+    """Every text of a figure: titles, labels, legends."""
+    from matplotlib.text import Text
+
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
+
+
 def test_bode_figure_marks_every_crossing(result: TuningResult) -> None:
     point = result.point("p650")
-    axes = bode_figure(point, GRID).axes
-    assert axes[-1].get_xlabel() == "Frequency (Hz)"
-    assert [a.get_ylabel() for a in axes[::2]] == ["Magnitude (S)"] * 2
+    axes = bode_figure(point).axes
+    assert [a.get_xlabel() for a in axes] == ["", "", "f (Hz)", "f (Hz)"]
     assert point.stability is not None
-    marked = sum(len(line.get_xdata()) == 1 for a in axes for line in a.lines)
+    marked = sum(line.get_marker() == "o" for a in axes for line in a.lines)
     assert marked == len(point.stability.crossings)
-    assert any("75.69 Hz\nm = 0.90" in text.get_text() for a in axes for text in a.texts)
+    assert axes[0].get_title() == "$Y_1$: m = 0.90 at 75.69 Hz"
+    rows = next(line for line in axes[0].lines if line.get_marker() == ".")
+    np.testing.assert_allclose(rows.get_ydata(), np.abs(siso(F_HZ, point.response.y, GRID).y1))  # the dots are the rows
 
 
-def test_locus_and_pole_figures_have_labels_and_the_origin(result: TuningResult) -> None:
+def test_locus_is_smooth_with_the_rows_on_it_and_its_turns_are_those_of_the_verdict(result: TuningResult) -> None:
+    """dB along the rays: read back, the drawn line is det(1 + Y Z), and turns about zero as often as is printed."""
     point = result.point("p650")
-    (locus,) = locus_figure(point).axes
-    (poles,) = pole_figure(point).axes
-    assert "winding -2" in locus.get_title()
-    assert poles.get_xlabel() == "Real part (rad/s)"
-    assert any("+9.57 rad/s" in text.get_text() for text in poles.texts)
+    (axes,) = locus_figure(point).axes
+    lines = {line.get_label(): np.asarray(line.get_xdata()) + 1j * np.asarray(line.get_ydata()) for line in axes.lines}
+    line, rows = lines["rising f, f > f1"], lines["rows"]
+    line = line[np.isfinite(line)]
+    assert np.max(np.abs(np.angle(line[1:] / line[:-1]))) < np.radians(8.0)
+    assert max(np.min(np.abs(line - row)) for row in rows) < 1.0  # rows lie on the line, within a dB
+    assert "winding number \N{MINUS SIGN}2" in axes.get_title()
+    assert point.stability is not None
+    assert f"winding number {point.stability.winding.number}" in point.reason
+
+
+def test_pole_map_spans_the_swept_band_and_says_what_decides(result: TuningResult) -> None:
+    figure = pole_figure(result.points)
+    (axes,) = figure.axes
+    assert axes.get_ylim()[1] == pytest.approx(1.1 * 950.0)
+    assert any("p650: unstable, +9.57 rad/s" in text for text in texts_of(figure))
+    assert sum("damping" in text for text in texts_of(figure)) == len(result.points)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.2, 1.4])
+def test_nothing_is_printed_over_anything(scale: float) -> None:
+    """Titles, labels and legends of the page keep apart, and stay inside it; README's own scales."""
+    line = SeriesRL(0.012, 0.25, F1_HZ)
+    voltage = oracle.terminal_voltage(0.65e6, scale * line.r_ohm, scale * line.l_h, U_V)
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    with matplotlib.rc_context(style._RC):
+        figure = result_figure(tune([turbine(0.65e6, voltage)], line, scales=(scale,)))
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        boxes = [(text.get_text(), text.get_window_extent(canvas.get_renderer())) for text in drawn_texts(figure)]
+    assert len(boxes) > 30
+    for k, (text, box) in enumerate(boxes):
+        assert figure.bbox.x0 - 1 <= box.x0, text
+        assert box.x1 <= figure.bbox.x1 + 1, text
+        for other, other_box in boxes[:k]:
+            apart = min(box.x1, other_box.x1) - max(box.x0, other_box.x0) < 1.0
+            assert apart or min(box.y1, other_box.y1) - max(box.y0, other_box.y0) < 3.0, (text, other)
+    assert any("rad/s" in text and ("\N{MINUS SIGN}" in text or "+" in text) for text, _ in boxes)
+
+
+def drawn_texts(figure):
+    """Texts that a page shows: titles, labels, legends, annotations, and the tick labels within the limits."""
+    parts = [figure, *figure.subfigs, *(inner for part in figure.subfigs for inner in part.subfigs)]
+    texts = [text for part in parts for text in part.texts]
+    texts += [text for part in parts for legend in part.legends for text in legend.get_texts()]
+    if figure._suptitle is not None:
+        texts.append(figure._suptitle)
+    for axes in figure.axes:
+        texts += [axes.title, *axes.texts]
+        if axes.axison:
+            texts += [axes.xaxis.label, axes.yaxis.label]
+            for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+                places = zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=False)  # shared axes have none
+                texts += [label for at, label in places if low <= at <= high and label.get_visible()]
+    return [text for text in dict.fromkeys(texts) if text.get_text().strip()]
 
 
 def test_page_of_figures_is_written(result: TuningResult, tmp_path: Path) -> None:

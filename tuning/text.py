@@ -1,0 +1,202 @@
+"""A tuning result as plain text: one line per operating point and scale, then what the reader should know or do."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from math import floor, log10
+
+from ..identify.uncertainty import NORMAL_95
+from .intervals import Interval
+from .result import PointTuning, TuningResult
+
+CERTAIN = 0.999
+"""A verdict with this probability, or as improbable as the rest, is called certain."""
+
+NAMED = 4
+"""Operating points that a note names before it counts the others."""
+
+_DROPPED_FIRST = ("SCR crit", "m predicted", "damping", "Z crit", "m with k", "resonance Hz")
+_LEFT = ("op", "verdict")
+
+
+def format_table(result: TuningResult, width: int = 80) -> str:
+    """The result as plain text no wider than ``width``.
+
+    Columns that do not fit are left out in the order of `_DROPPED_FIRST`, and a line says which.
+    """
+    rows = [_row(point, result) for point in result.points]
+    names = [name for name in rows[0] if any(row[name] for row in rows)]
+    dropped = []
+    for name in _DROPPED_FIRST:
+        if name in names and _table_width(rows, names) > width:
+            names.remove(name)
+            dropped.append(name)
+    lines = [
+        *wrapped(_head(result), width),
+        "",
+        *aligned(_cells(rows, names)),
+        "",
+    ]
+    for remark in (*_legend(rows, names, result), *_left_out(dropped), *grouped(_remarks(result))):
+        lines += wrapped(remark, width)
+    return "\n".join(lines)
+
+
+def _head(result: TuningResult) -> str:
+    if result.grid is None:
+        where = "each operating point on the grid it was swept for"
+    elif result.scales == (1.0,):
+        where = f"Z = {result.grid.label}"
+    else:
+        factors = ", ".join(f"{scale:g}" for scale in result.scales)
+        where = f"Z = {factors} times {result.grid.label}"
+    return f"{where}, required m = {result.margin_required:g}"
+
+
+def _row(point: PointTuning, result: TuningResult) -> dict[str, str]:
+    loop = None if point.stability is None else point.stability.closed_loop
+    damping = None if loop is None or loop.critical is None else 100.0 * float(loop.damping[loop.critical])
+    pair = point.resonance_hz
+    return {
+        "op": point.op_id,
+        "scale": f"{point.scale:g}" if len(result.scales) > 1 else "",
+        "verdict": point.verdict,
+        "P stable": _probability(point.probability),
+        "m": with_doubt(point.margin_m, point.margin_interval),
+        f"m >= {result.margin_required:g}": _met(point.margin_m, result.margin_required),
+        "resonance Hz": "-" if pair is None else f"{pair[0]:.2f}/{pair[1]:.2f}",
+        "damping": "-" if damping is None else f"{damping:.1f} %",
+        "Z crit": "-" if point.critical_scale is None else f"x{with_doubt(point.critical_scale, point.scale_interval)}",
+        "SCR crit": _number(point.critical_scr, ".3f"),
+        "k": _number(point.k, ".3f") + ("*" if _is_first_value(point) else ""),
+        "m predicted": "" if point.margin_m_predicted is None else f"{point.margin_m_predicted:.3f}",
+        "m with k": _number(point.margin_m_with_k, ".3f") if point.reached is not None else "",
+        "with k": "" if point.with_k is None else point.with_k.verdict,
+    }
+
+
+def _probability(probability: float | None) -> str:
+    """The probability of being stable where it is not certain; a blank says that it is."""
+    if probability is None:
+        return "-"
+    return "" if not 1.0 - CERTAIN < probability < CERTAIN else f"{probability:.3g}"
+
+
+def _met(margin_m: float | None, required: float) -> str:
+    if margin_m is None:
+        return "-"
+    return "yes" if margin_m >= required else "no"
+
+
+def _is_first_value(point: PointTuning) -> bool:
+    return bool(point.k) and point.reached is None
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def with_doubt(value: float | None, interval: Interval | None, digits: int = 3) -> str:
+    """``0.98 +- 0.02``: a number and half its 95 % interval, where that shows in so many digits."""
+    if value is None or interval is None or NORMAL_95 * interval.std < 0.5 * 10.0**-digits:
+        return _number(value, f".{digits}f")
+    if interval.high is None:
+        return f"{value:.{digits}f} (> {interval.low:.2g})"
+    half = (interval.high - interval.low) / 2.0
+    digits = min(digits, max(1, -floor(log10(half))))
+    return f"{value:.{digits}f} +- {half:.{digits}f}"
+
+
+# Below the table -----------------------------------------------------------------------------------------------------
+
+
+def _legend(rows: Sequence[dict[str, str]], names: Sequence[str], result: TuningResult) -> Iterable[str]:
+    """What the signs in the table mean, as far as they are there."""
+    if any("+-" in row[name] for row in rows for name in names):
+        yield "+-: 95 % intervals, from the noise of the table's rows"
+    if any(row["P stable"] not in ("", "-") for row in rows):
+        yield f"P stable: probability of being stable; a blank is a certain verdict (beyond {CERTAIN:g})"
+    if any(_is_first_value(point) for point in result.points):
+        yield "*: first value by the formula; --confirm sweeps the device again with damping control and settles it"
+    if len(result.points) > 1:
+        worst = result.worst
+        at = f" at scale {worst.scale:g}" if len(result.scales) > 1 else ""
+        yield f"worst operating point: {worst.op_id}{at}"
+
+
+def _left_out(dropped: Sequence[str]) -> Iterable[str]:
+    if dropped:
+        yield f"left out, the lines being too long: {', '.join(dropped)} (a wider terminal or -o TUNING.json has them)"
+
+
+def _remarks(result: TuningResult) -> Iterable[tuple[str, str]]:
+    """Every remark with the name of its entry."""
+    several = len(result.scales) > 1
+    for point in result.points:
+        name = f"{point.op_id} x{point.scale:g}" if several else point.op_id
+        reason = "" if point.verdict == "stable" else f"{point.verdict}, {point.reason}"
+        note = "" if point.stability is None else point.stability.bode_note
+        for text in (reason, note, *point.warnings, *_dashes(point)):
+            if text:
+                yield name, text
+
+
+def _dashes(point: PointTuning) -> Iterable[str]:
+    """Why there is no resonance and no k; what was not fitted has its reason already."""
+    if point.stability is not None and point.resonance_hz is None:
+        yield (
+            "no resonance: no oscillating mode inside the swept band is carried by the data, so that there is nothing "
+            "to set damping control to (k: -)"
+        )
+
+
+def grouped(remarks: Iterable[tuple[str, str]]) -> list[str]:
+    """Remarks that differ in their numbers alone become one: it names their entries, and shows the first one's text."""
+    groups: dict[str, tuple[str, list[str], set[str]]] = {}
+    for name, text in remarks:
+        _, names, texts = groups.setdefault(re.sub(r"\d+(\.\d+)?(e[+-]?\d+)?", "#", text), (text, [], set()))
+        names += [] if name in names else [name]
+        texts.add(text)
+    return [f"{_names(names)}: {text}{_of_the_first(names, texts)}" for text, names, texts in groups.values()]
+
+
+def _names(names: Sequence[str]) -> str:
+    more = len(names) - NAMED
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:NAMED])} and {more} more"
+
+
+def _of_the_first(names: Sequence[str], texts: set[str]) -> str:
+    return f" (numbers of {names[0]})" if len(texts) > 1 else ""
+
+
+# Layout --------------------------------------------------------------------------------------------------------------
+
+
+def aligned(table: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table whose first row is its head: names to the left, numbers to the right."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    head, *rows = table
+    lines = []
+    for cells in (head, ["-" * width for width in widths], *rows):
+        padded = [
+            cell.ljust(width) if name in _LEFT else cell.rjust(width)
+            for name, cell, width in zip(head, cells, widths, strict=True)
+        ]
+        lines.append("  ".join(padded).rstrip())
+    return lines
+
+
+def _table_width(rows: Sequence[dict[str, str]], names: Sequence[str]) -> int:
+    return max(map(len, aligned(_cells(rows, names))))
+
+
+def _cells(rows: Sequence[dict[str, str]], names: Sequence[str]) -> list[Sequence[str]]:
+    """The head of a table and its rows."""
+    return [names, *([row[name] for name in names] for row in rows)]
+
+
+def wrapped(text: str, width: int) -> list[str]:
+    """Lines of at most ``width``, the second and further ones indented."""
+    return textwrap.wrap(text, max(width, 20), subsequent_indent="  ")
