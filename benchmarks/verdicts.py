@@ -57,17 +57,22 @@ def main() -> int:
         print(*[score.line_of(case) for case in one(asked.only)], sep="\n")
         return 0
     begin = time.process_time()
-    cases = [case for of_table in _each(one, range(asked.tables), asked.jobs) for case in of_table]
+    cases = [case for of_table in _each(one, range(asked.tables), asked.jobs) for case in _told(of_table)]
     near = [
         s for s in _each(partial(calibration.stated, seed), _enough(asked.calibration), asked.jobs) if s is not None
     ]
     text, met = report(seed, asked, cases, near[: asked.calibration])
     print(text)
-    print("", *score.worst(cases), sep="\n")
     print(f"\n{len(cases)} cases, {time.process_time() - begin:.0f} s of CPU in this process")
     if asked.write:
         _write(text)
     return 1 if asked.check and not met else 0
+
+
+def _told(cases: list[Case]) -> list[Case]:
+    """The cases; what is bad among them is told at once."""
+    print(*[f"{line}\n" for line in score.worst(cases)], sep="", end="", file=sys.stderr, flush=True)
+    return cases
 
 
 def _enough(wanted: int) -> range:

@@ -45,9 +45,7 @@ class Case:
     @property
     def noise(self) -> float:
         """Relative noise of Y: as drawn where rows are exact, as found where they were swept."""
-        if self.spec.source == "exact":
-            return self.spec.noise
-        return self.error if self.spec.noise > 0.0 else min(self.error, 1e-3)
+        return self.spec.noise if self.spec.source == "exact" else self.error
 
     @property
     def wrong(self) -> bool:

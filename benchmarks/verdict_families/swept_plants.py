@@ -2,9 +2,9 @@
 
 A linear device answers a tone by two rotating phasors (the tone's and its mirror's) and by its modes, which die out. No
 integrator stands between the device and its truth: what a swept row is wrong by are windows that end before the modes
-have died out, noise, and the device's own cubic nonlinearity. A tone of amplitude a (pu) meets Y + bend a^2 Y Y^H Y
-(Y in pu): what a third-order kernel leaves at the tone. It is no rational function with the poles of Y: on the axis Y^H
-is Y(-s)^T, whose poles lie on the right. Sweeping it is what puts false poles there.
+have died out, noise, and the device's own cubic nonlinearity. A tone of amplitude a (pu) meets
+Y + bend a^2 Y Y^H Y / (1 + ||Y||^2), Y in pu: what a third-order kernel leaves at the tone. It is no rational function
+with the poles of Y: on the axis Y^H is Y(-s)^T, whose poles lie on the right. Swept rows put false poles there.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class LinearPlant(_Fed):
             return i
         y = self._device.admittance(np.array([w / (2.0 * np.pi)]))[0] * self._z_ohm
         size = np.linalg.norm(v) / (np.sqrt(2.0) * self.rating.peak_voltage_v)
-        return i + self._bend * size**2 * y @ y.conj().T @ i
+        return i + self._bend * size**2 / (1.0 + np.linalg.norm(y) ** 2) * y @ y.conj().T @ i
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ LOUD = 0.5
 """Loop gain from which on rows are needed. One is where a loop at the edge stands at its critical frequency: on the
 stable side the gain is below one all around it, and yet rows are needed nowhere more."""
 
+QUIET = 0.2
+"""Loop gain below which an active device cannot make a loop oscillate, whatever its phase, with something to spare."""
+
 VISIBLE = 5e-3
 """A mode that moves by less than this part of its size when the grid doubles is not seen at the terminals."""
 
@@ -86,9 +89,10 @@ def seen_modes(poles: np.ndarray, own: np.ndarray) -> np.ndarray:
 
 
 def critical_mode(unit: Unit, grid: tuple[float, float], poles: np.ndarray, nu_hz: np.ndarray) -> complex:
-    """The least damped oscillating mode within the rows' band that the grid moves."""
+    """The least damped oscillating mode in the band that the grid moves, a network's own at f1 left aside."""
     nu = poles.imag / (2.0 * np.pi)
-    among = poles[(nu > max(SLOW_HZ, nu_hz[0])) & (nu < nu_hz[-1])]
+    f1_hz = unit.bases.f1_hz
+    among = poles[(nu > max(SLOW_HZ, nu_hz[0])) & (nu < nu_hz[-1]) & (np.abs(nu - f1_hz) > 1.0)]
     if not len(among):
         return complex(np.nan, np.nan)
     moved = unit.device.closed_loop(grid[0] * 1.01, grid[1] * 1.01)
@@ -102,37 +106,37 @@ def critical_mode(unit: Unit, grid: tuple[float, float], poles: np.ndarray, nu_h
 def covers(unit: Unit, grid: tuple[float, float], nu_hz: np.ndarray, modes: np.ndarray) -> bool:
     """Whether the rows cover what stability asks.
 
-    Rows are needed wherever the device is active or the loop gain above `LOUD`, up to where, from there on, the device
-    is passive or the loop gain below. Neighbouring |f - f1| there may be apart by a ratio of 1.3, or by the half width
-    of the modes between them (the distance of the nearest pole from the middle of the gap, as |s - p|/2 pi). Below the
-    lowest |f - f1| no mode may be narrower than that.
+    Rows are needed wherever the device is active with a loop gain above `QUIET`, and, up to the last such frequency,
+    wherever the loop gain is above `LOUD`. Neighbouring |f - f1| there may be apart by a ratio of 1.3, or by the half
+    width of the modes between them (the distance of the nearest pole from the middle of the gap, as |s - p|/2 pi).
+    Below the lowest |f - f1| no mode may be narrower than that.
     """
     nu = np.geomspace(0.02, 8000.0, 400)
-    active, loud = _active_and_loud(unit, grid, nu)
-    decisive = np.flatnonzero(active & loud)
+    active, gain = _active_and_gain(unit, grid, nu)
+    decisive = np.flatnonzero(active & (gain > QUIET))
     if not len(decisive):
         return True
     end = nu[decisive[-1]]
     if end > nu_hz[-1]:
         return False
-    needed = nu[(active | loud) & (nu <= end)]
+    needed = nu[((active & (gain > QUIET)) | (gain > LOUD)) & (nu <= end)]
     return all(_closed_at(x, nu_hz, modes) for x in needed)
 
 
-def _active_and_loud(unit: Unit, grid: tuple[float, float], nu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the device is not passive, and where an eigenvalue of Y Z is above `LOUD` (n,)."""
+def _active_and_gain(unit: Unit, grid: tuple[float, float], nu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the device is not passive, and the largest eigenvalue of Y Z (n,)."""
     y = unit.device.admittance(nu)
     least = np.linalg.eigvalsh((y + y.conj().transpose(0, 2, 1)) / 2.0)[:, 0]
     s = 2j * np.pi * nu
     z = (grid[0] + s * grid[1] / unit.bases.w1)[:, None, None] * np.eye(2) + grid[1] * J
-    return least < -1e-3 * np.linalg.norm(y, axis=(1, 2)), np.abs(np.linalg.eigvals(y @ z)).max(axis=1) > LOUD
+    return least < -1e-3 * np.linalg.norm(y, axis=(1, 2)), np.abs(np.linalg.eigvals(y @ z)).max(axis=1)
 
 
 def _is_hidden(unit: Unit, grid: tuple[float, float], unstable: np.ndarray, end_hz: float) -> bool:
     if not len(unstable) or not np.isfinite(end_hz) or np.abs(unstable.imag).min() < 2.0 * np.pi * end_hz:
         return False
-    active, loud = _active_and_loud(unit, grid, np.array([end_hz]))
-    return not bool(active[0] and loud[0])
+    active, gain = _active_and_gain(unit, grid, np.array([end_hz]))
+    return not bool(active[0] and gain[0] > 1.0)
 
 
 def _closed_at(nu: float, rows: np.ndarray, modes: np.ndarray) -> bool:
