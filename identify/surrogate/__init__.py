@@ -1,0 +1,1 @@
+"""A model of the admittance over operating points, Y(f; P, Q, V), that states how sure it is."""

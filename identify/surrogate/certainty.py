@@ -1,0 +1,107 @@
+"""How far a prediction may be wrong: leave-one-out errors, leverage, rivals and the rows' own noise joined.
+
+Three things are added in squares, each relative to ||Y||:
+
+* what the sweeps themselves show. Left out, sweep j is missed by e_j at a leverage h_j / (1 - h_j); a point x with the
+  leverage h(x) is therefore missed by about ``sqrt(mean(|e_j|^2 (1 - h_j) / h_j) h(x))``, the mean taken over the
+  sweeps and over neighbouring frequencies;
+* the rows' own noise, where the table states it, carried to x by the same leverage; it replaces the first where it is
+  larger, because a mean over few sweeps may be small by luck;
+* the spread of the rivals: models of other products that describe the sweeps nearly as well.
+
+The sum is a standard error of few degrees of freedom; its `factor` makes it the radius of a 95 % region.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .sparse_rational import ELEMENTS, Data, Fitted, Prediction
+
+NEIGHBOURS = 7
+"""Neighbouring frequencies whose leave-one-out errors are pooled."""
+
+_GROUPS = 4.0  # independent real numbers per free sweep: two, in about two independent groups of pooled frequencies
+_EXPLAINED = 1.5  # errors up to this multiple of the stated variance are noise
+_LEAST_LEVERAGE = 0.02  # a leverage below is as good as none; it keeps the quotient of two small numbers bounded
+
+
+class Certainty(NamedTuple):
+    """What a leverage stands for.
+
+    Attributes
+    ----------
+    variance : (f,) float
+        Variance over all four elements, relative to ||Y||^2, at a leverage of one.
+    factor : (f,) float
+        Radius of a 95 % region in standard errors.
+    """
+
+    variance: np.ndarray
+    factor: np.ndarray
+
+
+def certainty(fitted: Fitted, data: Data, noise: np.ndarray | None) -> Certainty:
+    """How sure the sweeps and the rows' noise make the model.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        The model.
+    data : Data
+        The sweeps it was fitted to.
+    noise : (f, m) float or None
+        Variance of a row over its four elements, relative to ||Y||^2; None: not known.
+
+    Notes
+    -----
+    Noise alone makes leave-one-out errors with ``E |e|^2 (1 - h) = variance``. The part of that which the rows state is
+    noise of known size, eight real numbers wide; the rest is the model's error, of a size known from few sweeps only.
+    """
+    used = data.weight > 0.0
+    count = np.maximum(used.sum(axis=1), 1)
+    h = np.clip(fitted.leverage, _LEAST_LEVERAGE, 1.0)
+    squared = np.where(used, np.sum(np.abs(fitted.left_out) ** 2, axis=2) * (1.0 - h), 0.0)
+    free = data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
+    unsure = _quantile(2.0, _GROUPS * max(free, 0.5))
+    missed = _moving_mean((squared / h).sum(axis=1) / count)
+    if noise is None:
+        return Certainty(missed, np.full(len(missed), unsure))
+    stated = _moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
+    found = np.maximum(_moving_mean(squared.sum(axis=1) / count), 1e-300)
+    share = np.clip(_EXPLAINED * stated / found, 0.0, 1.0)
+    variance = np.maximum(stated, (1.0 - share) * missed + share * stated)
+    return Certainty(variance, share * _quantile(ELEMENTS, 1e6) + (1.0 - share) * unsure)
+
+
+def _quantile(numerator: float, denominator: float) -> float:
+    """Root of the 95 % quantile of F."""
+    from scipy.special import fdtri
+
+    return float(np.sqrt(fdtri(numerator, denominator, 0.95)))
+
+
+def relative_error(prediction: Prediction, sure: Certainty, rivals: Sequence[Prediction]) -> np.ndarray:
+    """(p, f) radius of the 95 % region of Y, relative to ||Y||_F.
+
+    What noise alone sets a rival apart by, its own leverage times the variance, is not counted a second time.
+    """
+    size = np.linalg.norm(prediction.y, axis=2)
+    squared = sure.variance * prediction.leverage
+    for rival in rivals:
+        apart = np.sum(np.abs(rival.y - prediction.y) ** 2, axis=2) / size**2
+        noise = sure.variance * np.abs(rival.leverage - prediction.leverage)
+        squared = squared + np.maximum(apart - noise, 0.0) / len(rivals)
+    return sure.factor * np.sqrt(squared)
+
+
+def _moving_mean(values: np.ndarray) -> np.ndarray:
+    """Mean over the `NEIGHBOURS` nearest entries, fewer at the ends."""
+    half = NEIGHBOURS // 2
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    at = np.arange(len(values))
+    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
+    return (total[high] - total[low]) / (high - low)
