@@ -36,7 +36,7 @@ RIVALS = 5
 GUARD = 0.25
 """|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
 
-_PATIENCE = 4  # growth steps without gain until growing ends
+_PATIENCE = 6  # growth steps without gain until growing ends
 
 
 class Shape(NamedTuple):

@@ -1,0 +1,367 @@
+"""The surrogate: Y(f; P, Q, V) at any operating point inside the swept region, with a 95 % region of its error.
+
+Operating points are given as the table gives them (set-points in MW, Mvar and pu of the terminal voltage). The model's
+coordinates are the currents and the voltage they stand for, ``i_d = P/V``, ``i_q = -Q/V`` and V, each scaled to -1 ... 1
+over the swept points: in these a linearised converter is nearly polynomial over one denominator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...plant.errors import SeqsweepError
+from ..fit.dq_data import to_dq
+from ..frames import dq_to_pn
+from ..response import FrequencyResponse
+from .certainty import Certainty, certainty, relative_error
+from .index_sets import Index
+from .sparse_rational import ELEMENTS, Data, Fitted, Shape, choose_shapes, fit_shape, predict
+
+AXES = ("active_power_mw", "reactive_power_mvar", "terminal_voltage_pu")
+"""What an operating point is given by; a table without a reactive power has zero."""
+
+DECIDING = 24
+"""Frequencies by which the products are chosen."""
+
+LEAST_SWEEPS = 4
+"""Fewest operating points that a surrogate is built from."""
+
+_SAME = 1e-6  # |f - f1| closer than this, relatively, are one frequency
+_SPREAD = 1e-9  # an axis that varies by less, relatively, does not vary
+_BESIDE = 1e-9  # how far outside the region rounding may put a point
+
+
+class SurrogateError(SeqsweepError):
+    """Sweeps that no surrogate can be built from, or a point where it has nothing to say, with the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The box of swept operating points, in the units of `AXES`."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def varies(self) -> np.ndarray:
+        """(3,) bool: which axes the sweeps differ along."""
+        return self.high - self.low > _SPREAD * np.maximum(np.abs(self.high), 1.0)
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """(p,) bool: points (p, 3) inside the box."""
+        room = _BESIDE * np.maximum(np.abs(self.high), 1.0)
+        return np.asarray(((points >= self.low - room) & (points <= self.high + room)).all(axis=1))
+
+    def samples(self, n: int) -> np.ndarray:
+        """Points (n', 3) that fill the box evenly, its corners among them; always the same."""
+        from scipy.stats import qmc
+
+        at = np.flatnonzero(self.varies)
+        inside = qmc.Sobol(len(at), scramble=False).random(1 << max(n - 1, 1).bit_length())
+        corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * len(at)), axis=-1).reshape(-1, len(at))
+        unit = np.zeros((len(inside) + len(corners), len(self.low)))
+        unit[:, at] = np.concatenate([corners, inside])
+        return self.low + unit * (self.high - self.low)
+
+
+class Scale(NamedTuple):
+    """How currents and voltage (i_d, i_q, V) become the unit box; ``axes`` are those that vary."""
+
+    axes: tuple[int, ...]
+    middle: np.ndarray
+    half: np.ndarray
+
+    def unit(self, points: np.ndarray) -> np.ndarray:
+        """(p, d) coordinates of operating points (p, 3)."""
+        return (_currents(points)[:, self.axes] - self.middle) / self.half
+
+
+class Evaluation(NamedTuple):
+    """Prediction at operating points.
+
+    Attributes
+    ----------
+    y : (p, f, 2, 2) complex
+        Admittance in the dq frame (S).
+    radius : (p, f) float
+        Radius of the 95 % region of Y in the Frobenius norm (S).
+    """
+
+    y: np.ndarray
+    radius: np.ndarray
+
+    @property
+    def relative(self) -> np.ndarray:
+        """(p, f) radius relative to ||Y||_F."""
+        return self.radius / np.linalg.norm(self.y, axis=(2, 3))
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """A model of the admittance over operating points.
+
+    Attributes
+    ----------
+    f1_hz : float
+        Fundamental frequency (Hz).
+    nu_hz : (f,) float
+        Frequencies of the model in the dq frame, |f - f1| (Hz).
+    region : Region
+        Where it speaks.
+    points : (m, 3) float
+        The swept operating points, in the units of `AXES`.
+    scale : Scale
+        From operating points to the unit box.
+    models : tuple of Fitted
+        The chosen model first, then its rivals.
+    sure : Certainty
+        What a leverage stands for.
+    terminal : Fitted
+        The fundamental current at the PCC, i_d + j i_q as the first element (A, RMS, out of the device, d on v_pcc).
+    meta : mapping
+        Metadata of the table it was built from.
+    """
+
+    f1_hz: float
+    nu_hz: np.ndarray
+    region: Region
+    points: np.ndarray
+    scale: Scale
+    models: tuple[Fitted, ...]
+    sure: Certainty
+    terminal: Fitted | None
+    meta: Mapping[str, Any]
+
+    def evaluate(self, points: np.ndarray) -> Evaluation:
+        """Y at operating points (p, 3) inside the region, in the dq frame.
+
+        Raises
+        ------
+        SurrogateError
+            If a point is outside the region.
+        """
+        points = self._inside(points)
+        x = self.scale.unit(points)
+        best = predict(self.models[0], x)
+        relative = relative_error(best, self.sure, [predict(rival, x) for rival in self.models[1:]])
+        y = best.y.reshape(*best.y.shape[:2], 2, 2)
+        return Evaluation(y, relative * np.linalg.norm(best.y, axis=2))
+
+    def response(self, point: Sequence[float], f_hz: np.ndarray | None = None) -> FrequencyResponse:
+        """One operating point as the response of a table, its error in the covariance.
+
+        Parameters
+        ----------
+        point : (3,) float
+            P (MW), Q (Mvar), |v| (pu).
+        f_hz : (n,) float or None
+            Frequencies among the model's own and their mirrors; None: the model's, above f1.
+
+        Notes
+        -----
+        The error of a model is alike at neighbouring frequencies, and no fit averages it away: the covariance counts it
+        `CORRELATED` times, so that as many rows with it say no more than one.
+        """
+        found = self.evaluate(np.atleast_2d(np.asarray(point, dtype=float)))
+        f = self.f1_hz + self.nu_hz if f_hz is None else np.asarray(f_hz, dtype=float)
+        at = self._rows(f)
+        y = np.where((f < self.f1_hz)[:, None, None], found.y[0, at].conj(), found.y[0, at])
+        variance = CORRELATED * (found.radius[0, at] / _RADIUS) ** 2 / (2.0 * ELEMENTS)
+        covariance = variance[:, None, None] * np.eye(2 * ELEMENTS)
+        meta = {**dict(zip(AXES, map(float, point), strict=True)), "op_id": name_of(point), "surrogate": True}
+        return FrequencyResponse(f, dq_to_pn(y), self.f1_hz, covariance=covariance, meta={**self._facts(), **meta})
+
+    @cached_property
+    def worst_bar(self) -> tuple[float, np.ndarray]:
+        """Largest relative radius over the region, and the operating point (3,) where it stands."""
+        points = self.region.samples(512)
+        relative = self.evaluate(points).relative.max(axis=1)
+        return float(relative.max()), points[int(np.argmax(relative))]
+
+    def _inside(self, points: np.ndarray) -> np.ndarray:
+        points = np.atleast_2d(np.asarray(points, dtype=float))
+        outside = np.flatnonzero(~self.region.holds(points))
+        if len(outside):
+            raise SurrogateError(_outside(points[outside[0]], self.region))
+        return points
+
+    def _rows(self, f_hz: np.ndarray) -> np.ndarray:
+        nu = np.abs(f_hz - self.f1_hz)
+        at = np.abs(self.nu_hz[None] - nu[:, None]).argmin(axis=1)
+        off = np.abs(self.nu_hz[at] - nu) > _SAME * nu
+        if np.any(off):
+            raise SurrogateError(f"{f_hz[off][0]:g} Hz is no frequency of the table; interpolate the response instead")
+        return at
+
+    def _facts(self) -> dict[str, Any]:
+        return {"stable_on": self.meta["stable_on"]} if self.meta.get("stable_on") else {}
+
+
+CORRELATED = 7.0
+"""Neighbouring rows whose model error is one and the same."""
+
+_RADIUS = 1.392  # root of the 95 % quantile of chi-squared with eight degrees, over eight: radius per standard error
+
+
+def name_of(point: Sequence[float]) -> str:
+    """Name of an operating point in a predicted table."""
+    p, q, v = point
+    return f"p{p:g}_q{q:g}_v{v:g}"
+
+
+def build_surrogate(responses: Sequence[FrequencyResponse], shapes: Sequence[Shape] | None = None) -> Surrogate:
+    """A surrogate from the operating points of a table.
+
+    Parameters
+    ----------
+    responses : sequence of FrequencyResponse
+        One device, one fundamental, at `LEAST_SWEEPS` operating points or more.
+    shapes : sequence of Shape or None
+        The products, where they were chosen before; None: chosen here.
+
+    Raises
+    ------
+    SurrogateError
+        If there are too few operating points, two fundamentals, no common frequencies, or points on a line of the
+        region that leave a direction unseen.
+    """
+    points = _points_of(responses)
+    region = Region(points.min(axis=0), points.max(axis=0))
+    scale = _scale_of(points, region)
+    nu_hz, data, noise = _data_of(responses, scale.unit(points))
+    if shapes is None:
+        every = np.linspace(0, len(nu_hz) - 1, min(DECIDING, len(nu_hz))).round().astype(int)
+        deciding = Data(data.x, data.y[every], data.weight[every])
+        shapes = choose_shapes(deciding, scale.unit(region.samples(64)))
+    models = tuple(fit_shape(data, shape) for shape in shapes)
+    return Surrogate(
+        f1_hz=responses[0].f1_hz,
+        nu_hz=nu_hz,
+        region=region,
+        points=points,
+        scale=scale,
+        models=models,
+        sure=certainty(models[0], data, noise),
+        terminal=_terminal(responses, data.x),
+        meta=_common_facts(responses),
+    )
+
+
+# From a table --------------------------------------------------------------------------------------------------------
+
+
+def _currents(points: np.ndarray) -> np.ndarray:
+    """(p, 3) i_d = P/V, i_q = -Q/V (MW and Mvar over pu) and V (pu)."""
+    p, q, v = points.T
+    return np.stack([p / v, -q / v, v], axis=1)
+
+
+def _points_of(responses: Sequence[FrequencyResponse]) -> np.ndarray:
+    if len(responses) < LEAST_SWEEPS:
+        raise SurrogateError(
+            f"{len(responses)} operating points; a surrogate needs at least {LEAST_SWEEPS}: sweep more of them"
+        )
+    if len({response.f1_hz for response in responses}) > 1:
+        raise SurrogateError("the table holds several fundamentals; a surrogate is of one device at one fundamental")
+    points = np.array([[_value(response, axis) for axis in AXES] for response in responses])
+    if len(np.unique(points, axis=0)) < len(points):
+        raise SurrogateError("an operating point is there twice: two devices, or one that was swept again; keep one")
+    return points
+
+
+def _value(response: FrequencyResponse, axis: str) -> float:
+    """A set-point; |v_pcc| that a grid decided is taken as it was measured."""
+    value = response.meta.get(axis)
+    if value is None and axis == "terminal_voltage_pu":
+        value = response.meta.get("fundamental", {}).get("voltage_pu")
+    if value is None and axis == "reactive_power_mvar":
+        return 0.0
+    if value is None or not np.isfinite(value):
+        raise SurrogateError(f"{response.meta.get('op_id')}: the table does not say its {axis}")
+    return float(value)
+
+
+def _scale_of(points: np.ndarray, region: Region) -> Scale:
+    axes = tuple(int(axis) for axis in np.flatnonzero(region.varies))
+    if not axes:
+        raise SurrogateError("all operating points are the same: there is nothing to interpolate between")
+    x = _currents(points)[:, axes]
+    low, high = x.min(axis=0), x.max(axis=0)
+    scale = Scale(axes, (low + high) / 2.0, (high - low) / 2.0)
+    spread = np.linalg.svd(scale.unit(points) - scale.unit(points).mean(axis=0), compute_uv=False)
+    if spread[-1] < 1e-3 * spread[0]:
+        raise SurrogateError(
+            "the operating points lie on a line of the region: what happens beside it cannot be told; sweep points "
+            f"that vary {' and '.join(AXES[axis] for axis in axes)} independently"
+        )
+    return scale
+
+
+def _data_of(responses: Sequence[FrequencyResponse], x: np.ndarray) -> tuple[np.ndarray, Data, np.ndarray | None]:
+    """Frequencies that most sweeps share, the sweeps at them, and the rows' relative variance where it is known."""
+    folded = [to_dq(response) for response in responses]
+    nu_hz = _shared([data.nu_hz for data in folded])
+    shape = (len(nu_hz), len(folded))
+    y, weight, noise = np.zeros((*shape, ELEMENTS), dtype=complex), np.zeros(shape), np.zeros(shape)
+    for j, data in enumerate(folded):
+        at = np.abs(data.nu_hz[None] - nu_hz[:, None]).argmin(axis=1)
+        there = np.abs(data.nu_hz[at] - nu_hz) <= _SAME * nu_hz
+        y[there, j] = data.y[at[there]].reshape(-1, ELEMENTS)
+        size = np.linalg.norm(data.y[at], axis=(1, 2))
+        weight[there, j] = 1.0 / size[there]
+        if data.covariance is not None:
+            noise[there, j] = (np.einsum("nii->n", data.covariance[at]) / size**2)[there]
+    known = all(data.covariance is not None for data in folded)
+    return nu_hz, Data(x, y, weight), noise if known else None
+
+
+def _shared(grids: Sequence[np.ndarray]) -> np.ndarray:
+    """Frequencies of the first grid that at least nine in ten of the others have too."""
+    everything = np.sort(np.concatenate(grids))
+    first = np.concatenate([[True], np.diff(everything) > _SAME * everything[1:]])
+    start = np.flatnonzero(first)
+    count = np.diff(np.append(start, len(everything)))
+    shared = everything[start][count >= 0.9 * len(grids)]
+    if len(shared) == 0:
+        raise SurrogateError("the operating points have no frequencies in common: sweep them on one grid of frequencies")
+    return np.asarray(shared)
+
+
+def _terminal(responses: Sequence[FrequencyResponse], x: np.ndarray) -> Fitted | None:
+    """The fundamental current at the PCC over operating points, where every one was measured."""
+    facts = [response.meta.get("fundamental") for response in responses]
+    if not all(facts):
+        return None
+    current = np.array([-f["current_a"] * np.exp(1j * f["current_angle_rad"]) for f in facts])
+    y = np.zeros((1, len(x), ELEMENTS), dtype=complex)
+    y[0, :, 0] = current
+    data = Data(x, y, np.full((1, len(x)), 1.0 / max(np.abs(current).max(), 1e-30)))
+    return fit_shape(data, choose_shapes(data, x)[0])
+
+
+def _common_facts(responses: Sequence[FrequencyResponse]) -> dict[str, Any]:
+    """What all operating points agree on: where the device was seen to be stable, the slowest bound of its growth."""
+    facts = [response.meta.get("stable_on") for response in responses]
+    if not all(facts) or any(fact["grid"] != facts[0]["grid"] for fact in facts):
+        return {}
+    bounds = [fact.get("growth_bound_per_s") for fact in facts]
+    bound = None if any(b is None for b in bounds) else max(bounds)
+    return {"stable_on": {**facts[0], "growth_bound_per_s": bound}}
+
+
+def _outside(point: np.ndarray, region: Region) -> str:
+    for axis, value, low, high in zip(AXES, point, region.low, region.high, strict=True):
+        if not low <= value <= high:
+            return (
+                f"{axis} = {value:g} is outside the swept region, {low:g} to {high:g}: a surrogate says nothing there; "
+                "sweep operating points beyond it"
+            )
+    return "the operating point is outside the swept region"
+
+
+__all__ = ["AXES", "Evaluation", "Index", "Region", "Surrogate", "SurrogateError", "build_surrogate", "name_of"]
