@@ -85,17 +85,21 @@ def _quantile(numerator: float, denominator: float) -> float:
     return float(np.sqrt(fdtri(numerator, denominator, 0.95)))
 
 
-def relative_error(prediction: Prediction, sure: Certainty, rivals: Sequence[Prediction]) -> np.ndarray:
+def relative_error(
+    prediction: Prediction, sure: Certainty, rivals: Sequence[Prediction], worse: Sequence[float]
+) -> np.ndarray:
     """(p, f) radius of the 95 % region of Y, relative to ||Y||_F.
 
-    What noise alone sets a rival apart by, its own leverage times the variance, is not counted a second time.
+    ``worse`` are the rivals' leave-one-out errors in multiples of the chosen model's: a rival that describes the sweeps
+    worse differs for that reason, and counts for less. What noise alone sets a rival apart by, the difference of the
+    leverages times the variance, is not counted a second time.
     """
     size = np.linalg.norm(prediction.y, axis=2)
     widest = np.zeros_like(size)
-    for rival in rivals:
+    for rival, ratio in zip(rivals, worse, strict=True):
         apart = np.sum(np.abs(rival.y - prediction.y) ** 2, axis=2) / size**2
         noise = sure.variance * np.abs(rival.leverage - prediction.leverage)
-        widest = np.maximum(widest, apart - noise)
+        widest = np.maximum(widest, (apart - noise) / max(ratio, 1.0) ** 2)
     return sure.factor * np.sqrt(sure.variance * prediction.leverage + widest)
 
 

@@ -148,7 +148,9 @@ class Surrogate:
         points = self._inside(points)
         x = self.scale.unit(points)
         best = predict(self.models[0], x)
-        relative = relative_error(best, self.sure, [predict(rival, x) for rival in self.models[1:]])
+        score = max(self.models[0].score, 1e-300)
+        rivals = [predict(rival, x) for rival in self.models[1:]]
+        relative = relative_error(best, self.sure, rivals, [rival.score / score for rival in self.models[1:]])
         y = best.y.reshape(*best.y.shape[:2], 2, 2)
         return Evaluation(y, relative * np.linalg.norm(best.y, axis=2))
 
@@ -214,7 +216,9 @@ def name_of(point: Sequence[float]) -> str:
     return f"p{p:g}_q{q:g}_v{v:g}"
 
 
-def build_surrogate(responses: Sequence[FrequencyResponse], shapes: Sequence[Shape] | None = None) -> Surrogate:
+def build_surrogate(
+    responses: Sequence[FrequencyResponse], shapes: Sequence[Shape] | None = None, region: Region | None = None
+) -> Surrogate:
     """A surrogate from the operating points of a table.
 
     Parameters
@@ -223,6 +227,8 @@ def build_surrogate(responses: Sequence[FrequencyResponse], shapes: Sequence[Sha
         One device, one fundamental, at `LEAST_SWEEPS` operating points or more.
     shapes : sequence of Shape or None
         The products, where they were chosen before; None: chosen here.
+    region : Region or None
+        Where it is to speak; None: the box of the swept points.
 
     Raises
     ------
@@ -231,7 +237,7 @@ def build_surrogate(responses: Sequence[FrequencyResponse], shapes: Sequence[Sha
         region that leave a direction unseen.
     """
     points = _points_of(responses)
-    region = Region(points.min(axis=0), points.max(axis=0))
+    region = region or Region(points.min(axis=0), points.max(axis=0))
     scale = _scale_of(points, region)
     nu_hz, data, noise = _data_of(responses, scale.unit(points))
     if shapes is None:

@@ -1,0 +1,97 @@
+"""Which operating point to sweep next, and when enough have been swept.
+
+The first points are a Latin design at Chebyshev levels: along every axis each level is taken once, and the levels crowd
+towards the ends, where a polynomial goes astray first. From then on the next point is where the error bar is largest.
+A surrogate is certified when its largest bar is within the tolerance and the last `FRESH` sweeps, predicted before they
+were made, were met within it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..fit.dq_data import to_dq
+from ..response import FrequencyResponse
+from .surrogate import Region, Surrogate
+
+FRESH = 2
+"""Sweeps in a row that must meet their prediction."""
+
+_CANDIDATES = 512
+_APART = 0.02  # a candidate closer to a swept point, in parts of the region, would tell nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far the design has come.
+
+    Attributes
+    ----------
+    largest_bar : float
+        Largest 95 % radius of Y over region and frequencies, relative to ||Y||.
+    at : (3,) float
+        Where it stands (MW, Mvar, pu).
+    missed : tuple of float
+        By how much the latest sweeps missed their prediction at most, relative to ||Y||, oldest first.
+    """
+
+    largest_bar: float
+    at: np.ndarray
+    missed: tuple[float, ...]
+
+    def is_certified(self, tolerance: float) -> bool:
+        """Whether the bar and the last `FRESH` sweeps agree with the tolerance."""
+        fresh = self.missed[-FRESH:]
+        return self.largest_bar <= tolerance and len(fresh) == FRESH and max(fresh) <= tolerance
+
+
+def first_count(n_axes: int) -> int:
+    """Sweeps before the first surrogate: 6 along two axes, 8 along three."""
+    return max(4, 2 * n_axes + 2)
+
+
+def first_points(region: Region, seed: int = 0) -> np.ndarray:
+    """Latin design at Chebyshev levels (n, 3), in the units of the region; the same for the same seed.
+
+    Notes
+    -----
+    Of many Latin designs the one whose points keep farthest apart is taken. Level k of n is (1 - cos(pi k/(n-1)))/2.
+    """
+    axes = np.flatnonzero(region.varies)
+    n = first_count(len(axes))
+    levels = 0.5 - 0.5 * np.cos(np.pi * np.arange(n) / (n - 1))
+    random = np.random.default_rng(seed)
+    designs = [np.stack([levels[random.permutation(n)] for _ in axes], axis=1) for _ in range(200)]
+    unit = max(designs, key=_least_distance)
+    points = np.tile(region.low, (n, 1))
+    points[:, axes] += unit * (region.high - region.low)[axes]
+    return points
+
+
+def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]:
+    """The operating point (3,) of the region with the largest bar, not too near a swept one, and that bar."""
+    candidates = region.samples(_CANDIDATES)
+    relative = surrogate.evaluate(candidates).relative.max(axis=1)
+    axes = np.flatnonzero(region.varies)
+    size = (region.high - region.low)[axes]
+    apart = np.abs(candidates[:, None, axes] - surrogate.points[None][:, :, axes]) / size
+    free = apart.max(axis=2).min(axis=1) > _APART
+    ranked = np.where(free, relative, -1.0)
+    return candidates[int(np.argmax(ranked))], float(relative.max())
+
+
+def missed_by(surrogate: Surrogate, response: FrequencyResponse, point: np.ndarray) -> float:
+    """Largest ||Y - Y predicted||_F / ||Y||_F over the rows of a fresh sweep at ``point`` (3,)."""
+    data = to_dq(response)
+    at = np.abs(surrogate.nu_hz[None] - data.nu_hz[:, None]).argmin(axis=1)
+    same = np.abs(surrogate.nu_hz[at] - data.nu_hz) <= 1e-6 * data.nu_hz
+    predicted = surrogate.evaluate(point[None]).y[0, at[same]]
+    off = np.linalg.norm(predicted - data.y[same], axis=(1, 2)) / np.linalg.norm(data.y[same], axis=(1, 2))
+    return float(off.max(initial=0.0))
+
+
+def _least_distance(unit: np.ndarray) -> float:
+    apart = np.linalg.norm(unit[:, None] - unit[None], axis=2)
+    return float(apart[np.triu_indices(len(unit), 1)].min())
