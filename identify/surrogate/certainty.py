@@ -25,7 +25,6 @@ NEIGHBOURS = 7
 """Neighbouring frequencies whose leave-one-out errors are pooled."""
 
 _GROUPS = 4.0  # independent real numbers per free sweep: two, in about two independent groups of pooled frequencies
-_CHOSEN = 1.25  # the products were chosen by the errors that are judged here: they look smaller than they are
 _EXPLAINED = 1.5  # errors up to this multiple of the stated variance are noise
 _LEAST_LEVERAGE = 0.02  # a leverage below is as good as none; it keeps the quotient of two small numbers bounded
 
@@ -67,7 +66,7 @@ def certainty(fitted: Fitted, data: Data, noise: np.ndarray | None) -> Certainty
     h = np.clip(fitted.leverage, _LEAST_LEVERAGE, 1.0)
     squared = np.where(used, np.sum(np.abs(fitted.left_out) ** 2, axis=2) * (1.0 - h), 0.0)
     free = data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
-    unsure = _CHOSEN * _quantile(2.0, _GROUPS * max(free, 0.5))
+    unsure = _quantile(2.0, _GROUPS * max(free, 0.5))
     missed = _moving_mean((squared / h).sum(axis=1) / count)
     if noise is None:
         return Certainty(missed, np.full(len(missed), unsure))
@@ -95,12 +94,12 @@ def relative_error(
     leverages times the variance, is not counted a second time.
     """
     size = np.linalg.norm(prediction.y, axis=2)
-    widest = np.zeros_like(size)
+    spread = np.zeros_like(size)
     for rival, ratio in zip(rivals, worse, strict=True):
         apart = np.sum(np.abs(rival.y - prediction.y) ** 2, axis=2) / size**2
         noise = sure.variance * np.abs(rival.leverage - prediction.leverage)
-        widest = np.maximum(widest, (apart - noise) / max(ratio, 1.0) ** 2)
-    return sure.factor * np.sqrt(sure.variance * prediction.leverage + widest)
+        spread += np.maximum(apart - noise, 0.0) / max(ratio, 1.0) ** 2 / len(rivals)
+    return sure.factor * np.sqrt(sure.variance * prediction.leverage + spread)
 
 
 def _moving_mean(values: np.ndarray) -> np.ndarray:
