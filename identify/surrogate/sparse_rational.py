@@ -174,9 +174,7 @@ def _judged(shape: Shape, step: _Step) -> Fitted:
     leverage = np.einsum("fjaa->fj", block).real / ELEMENTS
     kept = np.eye(ELEMENTS) * (1.0 + 1e-9) - block
     left_out = np.linalg.solve(kept, np.swapaxes(step.residual, 1, 2)[..., None])[..., 0]
-    return Fitted(
-        shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing
-    )
+    return Fitted(shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing)
 
 
 def _backwards(r: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -285,9 +283,7 @@ def _has_freedom(data: Data, shape: Shape) -> bool:
     return len(shape.numerator) < m and shape.size < ELEMENTS * m
 
 
-def _best_of(
-    data: Data, shapes: Sequence[Shape], tried: dict[Shape, float], region: np.ndarray
-) -> Shape | None:
+def _best_of(data: Data, shapes: Sequence[Shape], tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
     for shape in shapes:
         if shape not in tried:
             tried[shape] = _guarded_score(data, shape, region)

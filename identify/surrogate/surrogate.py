@@ -1,7 +1,7 @@
 """The surrogate: Y(f; P, Q, V) at any operating point inside the swept region, with a 95 % region of its error.
 
 Operating points are given as the table gives them (set-points in MW, Mvar and pu of the terminal voltage). The model's
-coordinates are the currents and the voltage they stand for, ``i_d = P/V``, ``i_q = -Q/V`` and V, each scaled to -1 ... 1
+coordinates are the currents and the voltage they stand for, ``i_d = P/V``, ``i_q = -Q/V`` and V, each scaled to -1 to 1
 over the swept points: in these a linearised converter is nearly polynomial over one denominator.
 """
 
@@ -334,7 +334,7 @@ def _shared(grids: Sequence[np.ndarray]) -> np.ndarray:
     count = np.diff(np.append(start, len(everything)))
     shared = everything[start][count >= 0.9 * len(grids)]
     if len(shared) == 0:
-        raise SurrogateError("the operating points have no frequencies in common: sweep them on one grid of frequencies")
+        raise SurrogateError("the operating points share no frequencies: sweep them all on one grid of frequencies")
     return np.asarray(shared)
 
 

@@ -13,6 +13,7 @@ from ...plant.errors import SeqsweepError
 if TYPE_CHECKING:
     from ...plant.protocol import Plant
     from ...plant.registry import PlantCard
+    from ..config.sections import Config
     from ..plan import Plan
 
 OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE, FAULT = range(6)
@@ -35,19 +36,34 @@ class WrongInput(SeqsweepError):
     """A call that cannot be carried out as given."""
 
 
-def planned_of(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant | PlantCard]:
+def config_of(campaign: Path, settings: list[str] | None) -> Config:
+    """The configuration of a campaign whose device can be driven from here."""
     from ..config.sections import load_config
-    from ..plan import make_plan
-    from ..run.host import plant_or_card
 
     config = load_config(campaign, settings or ())
     if config.plant.id == "external":
         raise WrongInput(f"{campaign}: an external device cannot be driven from here; seqsweep inject writes files")
+    return config
+
+
+def planned_from(config: Config) -> tuple[Plan, Plant | PlantCard]:
+    """The plan of a configuration and the plant it is for; what the user should know is said."""
+    from ..plan import make_plan
+    from ..run.host import plant_or_card
+
     plant = plant_or_card(config)
     planned = make_plan(config, plant)
     for warning in planned.warnings:
         typer.echo(f"warning: {warning}", err=True)
     return planned, plant
+
+
+def planned_of(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant | PlantCard]:
+    """The plan of a campaign file whose operating points are listed."""
+    config = config_of(campaign, settings)
+    if config.sweep.operating_points is not None:
+        raise WrongInput(f"{campaign}: its operating points are chosen while it runs; only seqsweep run can take it")
+    return planned_from(config)
 
 
 def check_outputs(output: Path | None, force: bool, plot: Path | None) -> None:

@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -21,9 +21,15 @@ from .shared import (
     check_folder,
     check_new,
     check_plot,
+    config_of,
+    planned_from,
     planned_of,
     report_statuses,
 )
+
+if TYPE_CHECKING:
+    from ..config.sections import Config
+    from ..run.campaign import Outcome
 
 
 def init(
@@ -64,26 +70,63 @@ def run(
     if scheduler is not None and backend != "dask":
         raise WrongInput("--scheduler goes with --backend dask")
     check_new(output, force)
-    planned, plant = planned_of(campaign, settings)
-    from ..run.campaign import run as run_campaign
-    from .progress import progress
-
-    with progress() as report:
-        outcome = run_campaign(
-            planned,
-            plant,
-            output,
-            jobs=jobs,
-            backend=backend,
-            scheduler=scheduler,
-            discard=force,
-            report=report,
-            say=lambda text: typer.echo(text, err=True),
-        )
+    config = config_of(campaign, settings)
+    if config.sweep.operating_points is not None:
+        _run_region(config, output, Running(jobs, backend, scheduler), force)
+        return
+    outcome = _run_listed(config, output, Running(jobs, backend, scheduler), force)
     report_statuses(output, outcome.statuses)
     for remark in outcome.remarks:
         typer.echo(remark, err=True)
     if not outcome.all_ok:
+        raise typer.Exit(NOT_ALL_OK)
+
+
+class Running(NamedTuple):
+    """How a campaign is run: workers, joblib's backend, the address of a dask scheduler."""
+
+    jobs: int
+    backend: str | None
+    scheduler: str | None
+
+
+def _run_listed(config: Config, output: Path, running: Running, force: bool) -> Outcome:
+    """A campaign whose operating points are listed."""
+    from ..run.campaign import run as run_campaign
+    from .progress import progress
+
+    planned, plant = planned_from(config)
+    with progress() as report:
+        return run_campaign(
+            planned,
+            plant,
+            output,
+            jobs=running.jobs,
+            backend=running.backend,
+            scheduler=running.scheduler,
+            discard=force,
+            report=report,
+            say=lambda text: typer.echo(text, err=True),
+        )
+
+
+def _run_region(config: Config, output: Path, running: Running, force: bool) -> None:
+    """A campaign that chooses its operating points."""
+    from ..region.adaptive import sweep_region
+
+    def one_round(listed: Config, path: Path) -> None:
+        _run_listed(listed, path, running, force)
+
+    folder = output.with_name(output.name + ".rounds")
+    if force and folder.exists():
+        shutil.rmtree(folder)
+    outcome = sweep_region(config, output, one_round, lambda text: typer.echo(text, err=True))
+    report_statuses(output, outcome.statuses)
+    known = f"Y is certified to {config.sweep.operating_points.tolerance:g} over the region"
+    if not outcome.certified:
+        known = "the tolerance was not reached: a larger `most` sweeps on, or ask for less"
+    typer.echo(f"{outcome.n_points} operating points; {known}", err=True)
+    if not outcome.certified or set(outcome.statuses) - {"ok"}:
         raise typer.Exit(NOT_ALL_OK)
 
 

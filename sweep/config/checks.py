@@ -18,6 +18,7 @@ from .sections import (
     GridSection,
     InjectionSection,
     OperatingPointSection,
+    OperatingPointsSection,
     PlantSection,
     SourceSection,
     SweepSection,
@@ -133,6 +134,7 @@ def _model(keys: Keys) -> type[BaseModel] | None:
         ("operating_point", "*"): OperatingPointSection,
         ("operating_point", "*", "grid"): GridSection,
         ("sweep",): SweepSection,
+        ("sweep", "operating_points"): OperatingPointsSection,
         ("injection",): InjectionSection,
         ("source",): SourceSection,
     }
@@ -144,6 +146,7 @@ def _model(keys: Keys) -> type[BaseModel] | None:
 
 def _contradictions(data: Mapping[str, Any]) -> Iterator[Problem]:
     points = data.get("operating_point")
+    yield from _region(_section(data, "sweep").get("operating_points"), data)
     if points == []:
         yield Problem(("operating_point",), f"given []; needed: {_needed(('operating_point',))}")
     points = points if isinstance(points, list) else []
@@ -153,6 +156,27 @@ def _contradictions(data: Mapping[str, Any]) -> Iterator[Problem]:
         yield from _frequencies(_section(data, "sweep"))
         yield from _signal(_section(data, "sweep"), _section(data, "injection"))
     yield from _source(_section(data, "source"), _section(data, "injection"), points)
+
+
+def _region(region: Any, data: Mapping[str, Any]) -> Iterator[Problem]:
+    """Operating points are listed, or are a region of which the sweep chooses; ranges ascend."""
+    if region is None:
+        if "operating_point" not in data and not any(closest(str(key), ["operating_point"]) for key in data):
+            yield Problem(("operating_point",), f"missing; needed: {_needed(('operating_point',))}")
+        return
+    if "operating_point" in data:
+        text = "given beside [sweep.operating_points]; needed: only one, a list of points or a region of them"
+        yield Problem(("operating_point",), text)
+    if not isinstance(region, Mapping):
+        return
+    ranges = {key: value for key, value in region.items() if isinstance(value, list | tuple) and len(value) == 2}
+    for key, (low, high) in ranges.items():
+        if _number(low) is not None and _number(high) is not None and not low < high:
+            text = f"given {shown([low, high])}; needed: a range [low, high] with low < high, or one number"
+            yield Problem(("sweep", "operating_points", key), text)
+    if not ranges:
+        text = "no range in it; needed: [low, high] for at least one of active_power_mw, reactive_power_mvar, "
+        yield Problem(("sweep", "operating_points"), text + "terminal_voltage_pu")
 
 
 def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -72,6 +72,26 @@ class OperatingPointSection(_Section):
     )
 
 
+Range = Annotated[tuple[Number, Number], Field(strict=False)]
+
+
+class OperatingPointsSection(_Section):
+    """A region of operating points, swept where a surrogate over it is least sure, until it is certified."""
+
+    active_power_mw: Range | Number = Field(description="a range [low, high] or a number, in MW")
+    reactive_power_mvar: Range | Number = Field(default=0.0, description="a range [low, high] or a number, in Mvar")
+    terminal_voltage_pu: Range | Number = Field(default=1.0, description="a range [low, high] or a number, in pu")
+    tolerance: Annotated[Positive, Field(lt=1)] = Field(
+        default=1e-3, description="a number between 0 and 1, the relative error of Y to certify over the region"
+    )
+    most: Annotated[int, Field(ge=8, le=1000)] = Field(
+        default=40, description="a whole number from 8 to 1000, the operating points at which it gives up"
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="a whole number of at least 0, of the first design"
+    )
+
+
 class SweepSection(_Section):
     """Which frequencies, how exactly, how long at most: a range with ``points``, or the list ``f_hz``."""
 
@@ -89,6 +109,9 @@ class SweepSection(_Section):
     )
     f_hz: Annotated[tuple[Positive, ...], Field(strict=False)] | None = Field(
         default=None, description="a list of increasing frequencies above 0, in Hz, such as [1.0, 10.0, 75.5]"
+    )
+    operating_points: OperatingPointsSection | None = Field(
+        default=None, description="a section [sweep.operating_points], in place of [[operating_point]]"
     )
     tolerance: Annotated[Positive, Field(lt=1)] = Field(
         default=1e-5, description="a number between 0 and 1, the agreement asked of successive windows"
@@ -158,7 +181,7 @@ class Config(_Section):
     campaign: CampaignSection = Field(description="a section [campaign]")
     plant: PlantSection = Field(description="a section [plant]")
     operating_point: Annotated[tuple[OperatingPointSection, ...], Field(strict=False)] = Field(
-        description="at least one section [[operating_point]], in double brackets"
+        default=(), description="at least one section [[operating_point]], in double brackets"
     )
     sweep: SweepSection = Field(description="a section [sweep]")
     injection: InjectionSection = Field(default=InjectionSection(), description="a section [injection]")

@@ -1,0 +1,1 @@
+"""A region of operating points, swept where a surrogate over it is least sure."""

@@ -1,0 +1,190 @@
+"""Operating points chosen by doubt: sweep a few, fit a surrogate, sweep where its error bar is largest, until certified.
+
+Every round is a small campaign of its own whose table stands in ``OUTPUT.rounds`` until the whole is done; a round that
+is there already is read instead of swept. The choice of a point follows from the rows alone, so that an interrupted
+region goes on where it was and ends with the same bytes.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...identify.response import FrequencyResponse
+from ...identify.surrogate.design import Progress, first_points, missed_by, next_point
+from ...identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
+from ...identify.table.read import Table, read_table
+from ...identify.table.write import write_table
+from ...plant.errors import SeqsweepError
+from ..config.sections import Config, OperatingPointsSection
+
+Sweep = Callable[[Config, Path], None]
+"""Sweeps a campaign with listed operating points into a table; goes on where that was interrupted."""
+
+_LOST = 3  # operating points in a row without a usable row at which the region is given up
+
+
+class RegionError(SeqsweepError):
+    """A region that cannot be swept as it is asked for, with the way out."""
+
+
+class RegionOutcome(NamedTuple):
+    """Rows by status, the surrogate of all points, and how it stands."""
+
+    statuses: dict[str, int]
+    progress: Progress
+    certified: bool
+    n_points: int
+
+
+@dataclass(frozen=True)
+class _Swept:
+    """What has been swept so far, a table a round."""
+
+    tables: tuple[Table, ...] = ()
+    missed: tuple[float, ...] = field(default=())
+
+    @property
+    def responses(self) -> list[FrequencyResponse]:
+        return [response for table in self.tables for response in table.responses]
+
+    @property
+    def useful(self) -> list[FrequencyResponse]:
+        """Operating points with rows to learn from."""
+        return [response for response in self.responses if np.any(response.usable)]
+
+
+def region_of(asked: OperatingPointsSection) -> Region:
+    """The box that a campaign asks for, in the units of `AXES`."""
+    ends = np.array([np.broadcast_to(getattr(asked, axis), 2) for axis in AXES], dtype=float)
+    return Region(ends[:, 0], ends[:, 1])
+
+
+def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str], None]) -> RegionOutcome:
+    """Sweep the region of ``config`` until its surrogate is certified, and write one table of all points.
+
+    Parameters
+    ----------
+    config : Config
+        With ``sweep.operating_points``.
+    output : path
+        The table; rounds are kept in ``OUTPUT.rounds`` until it is written.
+    sweep : callable
+        Measures one round.
+    say : callable
+        Called with a line of progress after every round.
+
+    Raises
+    ------
+    RegionError
+        If three operating points in a row give no usable row, or rounds of another campaign are in the way.
+    """
+    asked = config.sweep.operating_points
+    assert asked is not None
+    region = region_of(asked)
+    folder = output.with_name(output.name + ".rounds")
+    folder.mkdir(exist_ok=True)
+    swept, points = _Swept(), first_points(region, asked.seed)
+    while True:
+        swept = _with_round(swept, config, points, folder, sweep)
+        surrogate = build_surrogate(swept.useful, region=region)
+        at, bar = next_point(surrogate, region)
+        progress = Progress(bar, at, swept.missed)
+        certified = progress.is_certified(asked.tolerance)
+        say(_words(progress, len(swept.responses), asked.tolerance))
+        if certified or len(swept.responses) >= asked.most:
+            break
+        swept, points = _predicted(swept, surrogate, config, at, folder, sweep), np.zeros((0, 3))
+    write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))
+    shutil.rmtree(folder)
+    return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses))
+
+
+def _with_round(swept: _Swept, config: Config, points: np.ndarray, folder: Path, sweep: Sweep) -> _Swept:
+    """One table more; nothing where there are no points to sweep."""
+    if len(points) == 0:
+        return swept
+    table = _round(config, points, folder / f"{len(swept.tables):04d}.parquet", sweep)
+    found = _Swept((*swept.tables, table), swept.missed)
+    _refuse_lost(found.responses)
+    return found
+
+
+def _predicted(
+    swept: _Swept, surrogate: Surrogate, config: Config, at: np.ndarray, folder: Path, sweep: Sweep
+) -> _Swept:
+    """Sweep ``at`` and hold the result against its prediction, made before."""
+    found = _with_round(swept, config, at[None], folder, sweep)
+    fresh = found.tables[-1].responses[0]
+    missed = missed_by(surrogate, fresh, at) if np.any(fresh.usable) else float("inf")
+    return _Swept(found.tables, (*found.missed, missed))
+
+
+def _round(config: Config, points: np.ndarray, path: Path, sweep: Sweep) -> Table:
+    listed = [{"id": name_of(p), **{axis: float(v) for axis, v in zip(AXES, p, strict=True)}} for p in points]
+    plain = config.to_dict()
+    plain["sweep"].pop("operating_points")
+    if not np.any(points[:, 1]):
+        listed = [{key: value for key, value in point.items() if key != AXES[1]} for point in listed]
+    this = Config.from_dict({**plain, "operating_point": listed})
+    if not path.exists():
+        sweep(this, path)
+    table = read_table(path)
+    if table.meta["configuration"] != this.to_dict():
+        raise RegionError(
+            f"{path.parent}: rounds of another campaign are in the way; --force discards them, or choose another output"
+        )
+    return table
+
+
+def _refuse_lost(responses: Sequence[FrequencyResponse]) -> None:
+    last = responses[-_LOST:]
+    if len(last) == _LOST and not any(np.any(response.usable) for response in last):
+        raise RegionError(
+            f"{_LOST} operating points in a row, the last at {last[-1].meta['op_id']}, gave no usable row "
+            f"({last[-1].reason[0]}): make the region smaller, to where the device works"
+        )
+
+
+def _metadata(
+    config: Config, swept: _Swept, progress: Progress, certified: bool, asked: OperatingPointsSection
+) -> dict[str, Any]:
+    """Metadata of the whole: every point of every round, the campaign as it was asked for, and the certificate."""
+    first = swept.tables[0].meta
+    kept = {key: first[key] for key in ("f1_hz", "bases", "power_meaning", "plant")}
+    return {
+        **kept,
+        "operating_points": [point for table in swept.tables for point in table.meta["operating_points"]],
+        "configuration": config.to_dict(),
+        "region": {
+            "certified": certified,
+            "tolerance": asked.tolerance,
+            "largest_bar": progress.largest_bar,
+            "fresh_errors": [None if not np.isfinite(miss) else miss for miss in progress.missed],
+        },
+    }
+
+
+def _statuses(responses: Sequence[FrequencyResponse]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for status in _each_status(responses):
+        found[status] = found.get(status, 0) + 1
+    return found
+
+
+def _each_status(responses: Sequence[FrequencyResponse]) -> Iterator[str]:
+    for response in responses:
+        yield from np.asarray(response.status).tolist()
+
+
+def _words(progress: Progress, n: int, tolerance: float) -> str:
+    where = ", ".join(f"{value:.4g}" for value in progress.at)
+    fresh = f"; the last fresh sweep was met within {progress.missed[-1]:.2g}" if progress.missed else ""
+    return (
+        f"{n} operating points: error bar {progress.largest_bar:.2g} of {tolerance:g} at (P, Q, |v|) = ({where}){fresh}"
+    )
