@@ -178,6 +178,18 @@ class Surrogate:
         meta = {**dict(zip(AXES, map(float, point), strict=True)), "op_id": name_of(point), "surrogate": True}
         return FrequencyResponse(f, dq_to_pn(y), self.f1_hz, covariance=covariance, meta={**self._facts(), **meta})
 
+    def terminal_current(self, points: np.ndarray) -> np.ndarray:
+        """(p,) complex fundamental current out of the device (A, RMS), d on v_pcc, at operating points (p, 3).
+
+        Raises
+        ------
+        SurrogateError
+            If the table does not hold the measured fundamental of every operating point.
+        """
+        if self.terminal is None:
+            raise SurrogateError("the table lacks the measured fundamental of its operating points: sweep it again")
+        return predict(self.terminal, self.scale.unit(np.atleast_2d(points))).y[:, 0, 0]
+
     @cached_property
     def worst_bar(self) -> tuple[float, np.ndarray]:
         """Largest relative radius over the region, and the operating point (3,) where it stands."""

@@ -1,4 +1,4 @@
-"""Operating points chosen by doubt: sweep a few, fit a surrogate, sweep where its error bar is largest, until certified.
+"""Operating points chosen by doubt: sweep a few, fit a surrogate, sweep where its bar is largest, until certified.
 
 Every round is a small campaign of its own whose table stands in ``OUTPUT.rounds`` until the whole is done; a round that
 is there already is read instead of swept. The choice of a point follows from the rows alone, so that an interrupted

@@ -1,0 +1,98 @@
+"""Maps of a region: the margin on a grid over two axes of the operating point, with the swept points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...identify.surrogate.surrogate import AXES, Surrogate
+from ...identify.views.style import DEVICE, QUIET, WARNING, new_figure, write_figure
+from ...tuning.worst import Worst
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LABELS = {
+    "active_power_mw": "Active power P (MW)",
+    "reactive_power_mvar": "Reactive power Q (Mvar)",
+    "terminal_voltage_pu": "Terminal voltage |v| (pu)",
+}
+
+
+def plot_map(path: str | Path, surrogate: Surrogate, worst: Worst | None) -> None:
+    """Draw the error bar of Y over the region, or the margin where a grid was judged; see `write_figure`."""
+    write_figure(path, lambda: map_figure(surrogate, worst))
+
+
+def map_figure(surrogate: Surrogate, worst: Worst | None) -> Figure:
+    """A map over two axes of the operating point; a curve where only one of them is free."""
+    figure = new_figure(3.6)
+    axes = figure.add_subplot()
+    varying = tuple(int(axis) for axis in np.flatnonzero(surrogate.region.varies))
+    free = varying if worst is None else worst.free
+    if worst is not None and len(free) == 1:
+        _curve(axes, worst, free[0])
+        return figure
+    across, up = free[0], free[-1]
+    _map(figure, axes, surrogate, worst, across, up)
+    axes.set_xlabel(LABELS[AXES[across]])
+    axes.set_ylabel(LABELS[AXES[up]])
+    return figure
+
+
+def _curve(axes: Axes, worst: Worst, axis: int) -> None:
+    """m along the one free axis, |v| following by load flow."""
+    order = np.argsort(worst.points[:, axis])
+    axes.plot(worst.points[order, axis], worst.margin_m[order], color=DEVICE, label="m, |v| by load flow")
+    axes.axhline(1.0, color=WARNING, linestyle="--", label="edge of stability")
+    axes.plot(worst.point[axis], worst.tuning.stability.critical.m, "*", color=WARNING, markersize=11, label="worst")
+    axes.set_xlabel(LABELS[AXES[axis]])
+    axes.set_ylabel("Magnitude margin m")
+    axes.legend(frameon=False)
+
+
+def _map(figure: Figure, axes: Axes, surrogate: Surrogate, worst: Worst | None, across: int, up: int) -> None:
+    """Filled contours; of a third axis the worst value at each place is seen."""
+    points, values, label = _values(surrogate, worst)
+    places, worst_at = _worst_by_place(points[:, (across, up)], values, lowest=worst is not None)
+    shown = axes.tricontourf(places[:, 0], places[:, 1], worst_at, levels=12, cmap="cividis")
+    figure.colorbar(shown, ax=axes, label=label)
+    if worst is not None and worst_at.min() < 1.0 < worst_at.max():
+        edge = axes.tricontour(places[:, 0], places[:, 1], worst_at, levels=[1.0], colors=WARNING)
+        axes.clabel(edge, fmt="m = 1")
+    _mark(axes, surrogate, worst, across, up)
+
+
+def _worst_by_place(places: np.ndarray, values: np.ndarray, lowest: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Places on a grid of 24 x 24 cells and the worst value in each cell."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    cell = np.clip(((places - low) / (high - low) * 24.0).astype(int), 0, 23)
+    number = cell[:, 0] * 24 + cell[:, 1]
+    order = np.lexsort((values if lowest else -values, number))
+    first = order[np.concatenate([[True], np.diff(number[order]) > 0])]
+    return places[first], values[first]
+
+
+def _values(surrogate: Surrogate, worst: Worst | None) -> tuple[np.ndarray, np.ndarray, str]:
+    if worst is not None:
+        finite = np.isfinite(worst.margin_m)
+        return (
+            worst.points[finite],
+            np.minimum(worst.margin_m[finite], 3.0),
+            "Magnitude margin m (3 and more are one colour)",
+        )
+    points = surrogate.region.samples(512)
+    bars = np.log10(np.maximum(surrogate.evaluate(points).relative.max(axis=1), 1e-12))
+    return points, bars, "log10 of the 95 % radius of Y, relative"
+
+
+def _mark(axes: Axes, surrogate: Surrogate, worst: Worst | None, across: int, up: int) -> None:
+    swept = surrogate.points
+    axes.plot(swept[:, across], swept[:, up], "o", color="white", markeredgecolor=QUIET, markersize=4, label="swept")
+    if worst is not None:
+        x, y = worst.point[across], worst.point[up]
+        axes.plot(x, y, "*", color=WARNING, markersize=11, label="worst", clip_on=False, zorder=5)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
