@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .deciding import tune, verify
     from .identify.response import FrequencyResponse
+    from .identify.surrogate.store import read_surrogate
+    from .identify.surrogate.surrogate import Surrogate, build_surrogate
     from .identify.table.read import Table, read_table
     from .making import check_plant, make_plant
     from .plant.boxes.step_function import plant_from_lanes, plant_from_step
@@ -45,6 +47,9 @@ _HOME = {
     "identify": "tables",
     "import_table": "tables",
     "export": "tables",
+    "Surrogate": "identify.surrogate.surrogate",
+    "build_surrogate": "identify.surrogate.surrogate",
+    "read_surrogate": "identify.surrogate.store",
     "make_plant": "making",
     "check_plant": "making",
     "plant_from_step": "plant.boxes.step_function",
@@ -69,6 +74,9 @@ __all__ = [  # noqa: RUF022 (in the order of the work)
     "identify",
     "import_table",
     "export",
+    "Surrogate",
+    "build_surrogate",
+    "read_surrogate",
     "make_plant",
     "check_plant",
     "plant_from_step",

@@ -311,7 +311,8 @@ def _scale_of(points: np.ndarray, region: Region) -> Scale:
     x = _currents(points)[:, axes]
     low, high = x.min(axis=0), x.max(axis=0)
     scale = Scale(axes, (low + high) / 2.0, (high - low) / 2.0)
-    spread = np.linalg.svd(scale.unit(points) - scale.unit(points).mean(axis=0), compute_uv=False)
+    asked = (points[:, axes] - region.low[list(axes)]) / (region.high - region.low)[list(axes)]
+    spread = np.linalg.svd(asked - asked.mean(axis=0), compute_uv=False)
     if spread[-1] < 1e-3 * spread[0]:
         raise SurrogateError(
             "the operating points lie on a line of the region: what happens beside it cannot be told; sweep points "

@@ -57,7 +57,9 @@ def _curve(axes: Axes, worst: Worst, axis: int) -> None:
 def _map(figure: Figure, axes: Axes, surrogate: Surrogate, worst: Worst | None, across: int, up: int) -> None:
     """Filled contours; of a third axis the worst value at each place is seen."""
     points, values, label = _values(surrogate, worst)
-    places, worst_at = _worst_by_place(points[:, (across, up)], values, lowest=worst is not None)
+    places, worst_at = points[:, (across, up)], values
+    if np.count_nonzero(surrogate.region.varies) > 2:
+        places, worst_at = _worst_by_place(places, values, lowest=worst is not None)
     shown = axes.tricontourf(places[:, 0], places[:, 1], worst_at, levels=12, cmap="cividis")
     figure.colorbar(shown, ax=axes, label=label)
     if worst is not None and worst_at.min() < 1.0 < worst_at.max():

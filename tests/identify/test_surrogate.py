@@ -1,0 +1,187 @@
+"""The surrogate over operating points, against the exact linearisation of the reference turbine."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.response import FrequencyResponse
+from seqsweep.identify.surrogate.design import first_points, next_point
+from seqsweep.identify.surrogate.index_sets import border, chebyshev_products
+from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape, predict
+from seqsweep.identify.surrogate.store import read_surrogate, write_surrogate
+from seqsweep.identify.surrogate.surrogate import AXES, Region, SurrogateError, build_surrogate, name_of
+from seqsweep.identify.table.read import Table, read_table
+from seqsweep.identify.table.write import write_table
+
+from ..support import oracle
+
+F_HZ = 50.0 + np.logspace(-0.3, 2.9, 24)
+REGION = Region(np.array([0.2, 0.0, 0.9]), np.array([1.3, 0.0, 1.1]))
+
+
+@cache
+def exact(power_mw: float, voltage_pu: float) -> np.ndarray:
+    return oracle.admittance_pn(F_HZ, power_mw * 1e6, voltage_pu * 690.0)
+
+
+def swept(points: np.ndarray, noise: float = 0.0, seed: int = 0) -> list[FrequencyResponse]:
+    """Operating points as a sweep would find them, with relative ``noise`` and the covariance that says so."""
+    random = np.random.default_rng(seed)
+    return [_noisy(point, noise, random) for point in points]
+
+
+def _noisy(point: np.ndarray, noise: float, random: np.random.Generator) -> FrequencyResponse:
+    y = exact(point[0], point[2])
+    size = np.linalg.norm(y, axis=(1, 2))[:, None, None]
+    errors = random.normal(size=(2, *y.shape))
+    y = y + noise * size / np.sqrt(8.0) * (errors[0] + 1j * errors[1])
+    covariance = (noise**2 / 8.0 * size**2) * np.eye(8)
+    meta = {"op_id": name_of(point), **dict(zip(AXES, map(float, point), strict=True))}
+    return FrequencyResponse(F_HZ, y, 50.0, covariance=covariance, meta=meta)
+
+
+def relative_errors(surrogate, points: np.ndarray) -> np.ndarray:
+    """(p, f) true errors relative to ||Y||; the surrogate is asked in the pn frame, as users are."""
+    found = np.array([surrogate.response(point, F_HZ).y for point in points])
+    truth = np.array([exact(point[0], point[2]) for point in points])
+    return np.linalg.norm(found - truth, axis=(2, 3)) / np.linalg.norm(truth, axis=(2, 3))
+
+
+def unseen(n: int, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return REGION.low + random.random((n, 3)) * (REGION.high - REGION.low)
+
+
+def test_products_are_chebyshev_s():
+    x = np.linspace(-1.0, 1.0, 7)
+    found = chebyshev_products(np.column_stack([x, x]), [(0, 0), (3, 0), (2, 4)])
+    angle = np.arccos(x)
+    np.testing.assert_allclose(found[:, 1], np.cos(3 * angle), atol=1e-12)
+    np.testing.assert_allclose(found[:, 2], np.cos(2 * angle) * np.cos(4 * angle), atol=1e-12)
+
+
+def test_a_set_grows_along_its_border_alone():
+    assert border([(0, 0), (1, 0)], 2, most=5) == [(0, 1), (2, 0)]
+
+
+def test_left_out_errors_are_those_of_fits_without_the_sweep():
+    """The closed form against the slow twin that really leaves each sweep out; a polynomial has equal weights."""
+    random = np.random.default_rng(3)
+    x = random.uniform(-1.0, 1.0, (9, 2))
+    y = random.normal(size=(2, 9, 4)) + 1j * random.normal(size=(2, 9, 4))
+    data = Data(x, y, 1.0 / np.linalg.norm(y, axis=2))
+    shape = Shape(((0, 0), (0, 1), (1, 0)), ())
+    fitted = fit_shape(data, shape)
+    for j in range(9):
+        rest = np.delete(np.arange(9), j)
+        without = fit_shape(Data(x[rest], y[:, rest], data.weight[:, rest]), shape)
+        missed = (y[:, j] - predict(without, x[j : j + 1]).y[0]) * data.weight[:, j, None]
+        np.testing.assert_allclose(np.abs(fitted.left_out[:, j]), np.abs(missed), rtol=1e-6)
+
+
+def test_a_rational_function_of_its_own_kind_is_found_to_rounding():
+    random = np.random.default_rng(5)
+    x = random.uniform(-1.0, 1.0, (14, 2))
+    numerator = random.normal(size=(2, 3, 4)) + 1j * random.normal(size=(2, 3, 4))
+    shape = Shape(((0, 0), (0, 1), (1, 0)), ((1, 0),))
+    truth = np.einsum("mk,fke->fme", chebyshev_products(x, shape.numerator), numerator)
+    truth = truth / (1.0 + (0.3 - 0.2j) * x[:, :1])
+    fitted = fit_shape(Data(x, truth, 1.0 / np.linalg.norm(truth, axis=2)), shape)
+    np.testing.assert_allclose(fitted.denominator, 0.3 - 0.2j, atol=1e-10)
+
+
+def test_twelve_sweeps_predict_the_turbine_to_a_hundredth_of_a_per_cent():
+    surrogate = build_surrogate(swept(np.vstack([first_points(REGION, 1), unseen(6, 2)])), region=REGION)
+    assert relative_errors(surrogate, unseen(60, 7)).max() < 1e-4
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_regions_hold_the_truth_as_often_as_they_say(noise):
+    held = []
+    for seed in range(3):
+        points = np.vstack([first_points(REGION, seed), unseen(6, 50 + seed)])
+        surrogate = build_surrogate(swept(points, noise, seed), region=REGION)
+        at = unseen(40, 100 + seed)
+        held.append(np.mean(relative_errors(surrogate, at) <= surrogate.evaluate(at).relative))
+    assert np.mean(held) > 0.9
+    assert min(held) > 0.85
+
+
+def test_the_next_point_is_where_the_bar_is_largest_and_sweeping_it_helps():
+    points = first_points(REGION, 0)
+    surrogate = build_surrogate(swept(points), region=REGION)
+    at, bar = next_point(surrogate, REGION)
+    assert surrogate.evaluate(at).relative.max() > 0.3 * bar
+    after = build_surrogate(swept(np.vstack([points, at])), region=REGION)
+    assert after.evaluate(at).relative.max() < 0.1 * surrogate.evaluate(at).relative.max()
+
+
+def test_first_points_fill_their_levels_and_come_again_for_the_same_seed():
+    points = first_points(REGION, 4)
+    assert len(np.unique(points[:, 0])) == len(points)
+    np.testing.assert_array_equal(points, first_points(REGION, 4))
+    assert not np.array_equal(points, first_points(REGION, 5))
+
+
+def test_a_point_outside_is_refused_by_its_axis():
+    surrogate = build_surrogate(swept(first_points(REGION, 1)), region=REGION)
+    with pytest.raises(SurrogateError, match=r"active_power_mw = 1.4 is outside the swept region, 0.2 to 1.3"):
+        surrogate.evaluate(np.array([1.4, 0.0, 1.0]))
+
+
+def test_a_frequency_that_was_not_swept_is_refused():
+    surrogate = build_surrogate(swept(first_points(REGION, 1)), region=REGION)
+    with pytest.raises(SurrogateError, match=r"77\.7 Hz is no frequency of the table"):
+        surrogate.response([0.6, 0.0, 1.0], np.array([77.7]))
+
+
+BAD = {
+    "too few": (lambda: swept(first_points(REGION, 1)[:3]), "3 operating points; a surrogate needs at least 4"),
+    "twice": (lambda: swept(np.vstack([first_points(REGION, 1), first_points(REGION, 1)[:1]])), "is there twice"),
+    "on a line": (
+        lambda: swept(np.column_stack([np.linspace(0.3, 1.2, 6), np.zeros(6), np.linspace(0.9, 1.1, 6)])),
+        "on a line of the region",
+    ),
+}
+
+
+@pytest.mark.parametrize(("made", "words"), BAD.values(), ids=BAD)
+def test_sweeps_that_say_too_little_are_refused(made, words):
+    with pytest.raises(SurrogateError, match=words):
+        build_surrogate(made())
+
+
+def test_a_bad_row_in_the_middle_costs_its_own_row():
+    responses = swept(np.vstack([first_points(REGION, 1), unseen(6, 2)]))
+    status = np.full(len(F_HZ), "ok", dtype="U12")
+    status[5] = "noisy"
+    y = responses[3].y.copy()
+    y[5] *= 3.0
+    bad = responses[3]
+    responses[3] = FrequencyResponse(F_HZ, y, 50.0, status=np.where(status == "ok", "ok", "diverged"), meta=bad.meta)
+    surrogate = build_surrogate(responses, region=REGION)
+    assert relative_errors(surrogate, unseen(20, 7)).max() < 1e-3
+
+
+def test_a_surrogate_is_read_back_as_it_was_written(tmp_path):
+    responses = swept(np.vstack([first_points(REGION, 1), unseen(4, 2)]), 1e-5)
+    meta = {
+        "f1_hz": 50.0,
+        "bases": {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6},
+        "power_meaning": "machine",
+        "operating_points": [{"op_id": r.meta["op_id"], **{a: r.meta[a] for a in AXES}} for r in responses],
+        "configuration": {},
+        "plant": {"id": "dpmsg-v1"},
+    }
+    write_table(tmp_path / "y.parquet", responses, meta)
+    table: Table = read_table(tmp_path / "y.parquet")
+    made = build_surrogate(table.responses)
+    write_surrogate(tmp_path / "s.parquet", made, table)
+    again = read_surrogate(tmp_path / "s.parquet")
+    at = unseen(5, 9)
+    at[:, 2] = np.clip(at[:, 2], made.region.low[2], made.region.high[2])
+    np.testing.assert_array_equal(again.evaluate(at).y, made.evaluate(at).y)
+    np.testing.assert_array_equal(again.evaluate(at).radius, made.evaluate(at).radius)

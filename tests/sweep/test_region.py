@@ -1,0 +1,133 @@
+"""A campaign that chooses its operating points, and what is asked of its surrogate, from the command line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.surrogate.store import read_surrogate
+from seqsweep.identify.table.read import read_table, validate_table
+from seqsweep.sweep.config.sections import Config
+from seqsweep.tuning.siso import parse_grid
+from seqsweep.tuning.worst import margins_of, worst_point
+
+from ..support import oracle
+from ..support.commands import call
+
+REGION = """
+[campaign]
+name = "region"
+[plant]
+id = "dpmsg-v1"
+[sweep]
+f_min_hz = 3.0
+f_max_hz = 500.0
+points = 24
+probes = 0
+[sweep.operating_points]
+active_power_mw = [0.3, 1.0]
+terminal_voltage_pu = [0.95, 1.05]
+tolerance = 5e-3
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("region")
+    (folder / "region.toml").write_text(REGION)
+    done = call("run", folder / "region.toml", "-o", folder / "y.parquet", "--jobs", 1)
+    assert done.returncode == 0, done.stderr
+    assert "Y is certified to 0.005 over the region" in done.stderr
+    return folder
+
+
+def test_a_certified_region_is_right_where_nothing_was_swept(folder):
+    surrogate = read_surrogate(folder / "y.parquet")
+    random = np.random.default_rng(8)
+    points = np.column_stack([random.uniform(0.3, 1.0, 20), np.zeros(20), random.uniform(0.95, 1.05, 20)])
+    f_hz = surrogate.f1_hz + surrogate.nu_hz
+    for point in points:
+        truth = oracle.admittance_pn(f_hz, point[0] * 1e6, point[2] * 690.0)
+        off = np.linalg.norm(surrogate.response(point).y - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
+        assert off.max() < 5e-3
+
+
+def test_the_table_conforms_and_holds_the_certificate(folder):
+    assert validate_table(folder / "y.parquet") == []
+    table = read_table(folder / "y.parquet")
+    assert table.meta["region"]["certified"]
+    assert table.meta["region"]["largest_bar"] <= 5e-3
+    assert not (folder / "y.parquet.rounds").exists()
+
+
+def test_an_interrupted_region_goes_on_to_the_same_bytes(folder):
+    """A folder in the way ends the second sweep; without it, the rounds that are there are read."""
+    out = folder / "again.parquet"
+    rounds = folder / "again.parquet.rounds"
+    (rounds / "0002.parquet").mkdir(parents=True)
+    assert call("run", folder / "region.toml", "-o", out, "--jobs", 1).returncode != 0
+    assert (rounds / "0001.parquet").exists()
+    (rounds / "0002.parquet").rmdir()
+    assert call("run", folder / "region.toml", "-o", out, "--jobs", 2).returncode == 0
+    assert out.read_bytes() == (folder / "y.parquet").read_bytes()
+
+
+def test_the_worst_point_is_no_better_than_any_of_many(folder):
+    surrogate = read_surrogate(folder / "y.parquet")
+    grid = parse_grid("0.012+0.25j", 50.0)
+    worst = worst_point(surrogate, grid)
+    random = np.random.default_rng(2)
+    points = surrogate.region.low + random.random((300, 3)) * (surrogate.region.high - surrogate.region.low)
+    assert worst.tuning.stability.critical.m <= margins_of(surrogate, grid, points).min() * 1.005
+
+
+def test_load_flow_of_the_worst_point_is_that_of_the_exact_device(folder):
+    surrogate = read_surrogate(folder / "y.parquet")
+    worst = worst_point(surrogate, parse_grid("0.012+0.2j", 50.0), 1.0, 690.0)
+    p, _, v = worst.point
+    x_ohm, w1 = 0.2, 2.0 * np.pi * 50.0
+    assert v * 690.0 == pytest.approx(oracle.terminal_voltage(p * 1e6, 0.012, x_ohm / w1, 690.0), rel=2e-4)
+
+
+def test_predictions_are_a_table_that_tune_reads(folder):
+    done = call("surrogate", folder / "y.parquet", "--at", "0.65,0,1.0", "-o", folder / "p.parquet")
+    assert done.returncode == 0, done.stderr
+    assert validate_table(folder / "p.parquet") == []
+    done = call("tune", folder / "p.parquet", "--grid", "0.012+0.25j")
+    assert "stable" in done.stdout
+
+
+REFUSED = {
+    "no numbers": (["--at", "0.65,0"], "needed are three numbers P,Q,V"),
+    "outside": (["--at", "3,0,1"], "outside the swept region"),
+    "voltage without grid": (["--source-voltage", "1.0"], "give --grid R+jX as well"),
+}
+
+
+@pytest.mark.parametrize(("options", "words"), REFUSED.values(), ids=REFUSED)
+def test_a_wrong_call_is_refused(folder, options, words):
+    done = call("surrogate", folder / "y.parquet", *options)
+    assert done.returncode == 2
+    assert words in done.stderr
+
+
+def test_a_map_is_drawn(folder):
+    done = call("surrogate", folder / "y.parquet", "--grid", "0.012+0.25j", "--plot", folder / "map.svg")
+    assert done.returncode == 0, done.stderr
+    assert "Magnitude margin m" in (folder / "map.svg").read_text()
+
+
+WRONG = {
+    "both": ({"operating_point": [{"active_power_mw": 0.5, "terminal_voltage_pu": 1.0}]}, {}, "needed: only one"),
+    "falling": ({}, {"active_power_mw": [1.0, 0.3]}, r"needed: a range \[low, high\] with low < high"),
+    "no range": ({}, {"active_power_mw": 0.5, "terminal_voltage_pu": 1.0}, "no range in it"),
+    "unknown": ({}, {"activ_power_mw": [0.3, 1.0]}, "did you mean active_power_mw"),
+}
+
+
+@pytest.mark.parametrize(("top", "region", "words"), WRONG.values(), ids=WRONG)
+def test_a_wrong_region_is_refused(top, region, words):
+    asked = {"active_power_mw": [0.3, 1.0], **region}
+    sweep = {"f_hz": [10.0, 20.0], "operating_points": asked}
+    with pytest.raises(ValueError, match=words):
+        Config.from_dict({"campaign": {"name": "x"}, "plant": {"id": "dpmsg-v1"}, "sweep": sweep, **top})
