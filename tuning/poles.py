@@ -16,6 +16,9 @@ RESONANCE_FROM_HZ = 5.0
 RESONANCE_DAMPING = 2.0**-0.5
 """Damping ratio from which on a mode has no peak and is no resonance."""
 
+LIGHT = 0.1
+"""Damping ratio below which a mode is lightly damped, and the ratio counts; above, how long it lasts."""
+
 BEYOND = 1.5
 """Poles further out than this multiple of the highest swept |f - f1| are not believed."""
 
@@ -50,8 +53,9 @@ class ClosedLoop:
     beyond : (m,) bool
         Too far outside the swept band to be believed: only the fit's asymptotes speak there.
     critical : int or None
-        Index of the resonance: the oscillating mode that the data carry with the largest real part, an unstable one
-        if there is one; None if there is none.
+        Index of the resonance: among the oscillating modes that the data carry the least damped one, or if all are
+        damped by more than a tenth the one with the largest real part; an unstable one if there is one; None if there
+        is none.
     """
 
     f1_hz: float
@@ -106,7 +110,7 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
 
 
 def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray) -> int | None:
-    """Index of the oscillating mode that decays most slowly among those that the data carry.
+    """Index of the resonance: the least damped mode, or if all are well damped the one that lasts longest.
 
     Not carried are modes that share a place with one of the device's own, which then is uncontrollable from the
     terminals and the same on every grid, modes whose place is hardly known, and those beyond the band. Slow modes are
@@ -115,12 +119,16 @@ def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray) -> int |
     f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
     apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
     carried = (apart.min(axis=1, initial=np.inf) > _CARRIED) & (std < _KNOWN * np.abs(poles))
+    carried &= ~is_beyond(model, poles)
     within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & carried
-    if np.any((poles.real > 0.0) & ~is_beyond(model, poles) & carried):
+    if np.any((poles.real > 0.0) & carried):
         within &= poles.real > 0.0
     fast = within & (f_hz > RESONANCE_FROM_HZ)
     among = np.flatnonzero(fast if np.any(fast) else within & (poles.real > 0.0))
-    return int(among[np.argmax(poles.real[among])]) if len(among) else None
+    if len(among) == 0:
+        return None
+    light = among[damping[among] < LIGHT]
+    return int(light[np.argmin(damping[light])] if len(light) else among[np.argmax(poles.real[among])])
 
 
 def is_beyond(model: RationalModel, poles: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ LIGHTLY_DAMPED = 0.05
 
 _GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _ACTIVE, _CLEARLY = 0.01, 0.3  # parts of Y that feed a wave: from the first on a device is not passive
+_LOUD = 0.5  # loop gain from which on an active device may bring about an oscillation
 _TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
 
@@ -309,6 +310,7 @@ def _unswept(case: Case) -> str:
     """Modes that decide need rows around them."""
     loop, decisive = case.loop, _decisive(case)
     unseen = [k for k in decisive if not is_swept(case.model, complex(loop.poles[k]))]
+    unseen = [k for k in unseen if loop.poles[k].real > 0.0 or _is_fed(case, float(loop.f_hz[k]))]
     if not unseen or (not case.stable and len(unseen) < len(decisive)):
         return ""
     return (
@@ -373,6 +375,19 @@ def is_swept(model: RationalModel, pole: complex) -> bool:
     return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
 
 
+def _is_fed(case: Case, nu_hz: float) -> bool:
+    """Whether device and loop gain could bring about an oscillation in the gap between rows that holds ``nu_hz``.
+
+    Where the device is passive, or the loop gain stays below a half, they cannot.
+    """
+    rows = np.concatenate([[0.0], case.model.nu_hz, [EDGE * nu_hz]])
+    above = int(np.clip(np.searchsorted(rows, nu_hz), 1, len(rows) - 1))
+    s = 2j * np.pi * np.linspace(rows[above - 1], rows[above], 9)
+    y = evaluate(case.model, s)
+    loud = np.abs(np.linalg.eigvals(y @ case.grid.impedance_dq(s))).max(axis=1) > _LOUD
+    return bool(np.any(loud & (_activity(y) > _ACTIVE)))
+
+
 def _active_at_end(model: RationalModel, grid: Grid) -> bool:
     """Whether the device may still bring a loop to oscillate above the swept band: not passive, gain above one.
 
@@ -386,9 +401,14 @@ def _active_at_end(model: RationalModel, grid: Grid) -> bool:
 
 
 def _activity_at_end(model: RationalModel) -> float:
-    """Part of Y at the band's end that feeds a wave: minus the least eigenvalue of the Hermitian part."""
-    y = evaluate(model, 2j * np.pi * model.nu_hz[-1:])[0]
-    return float(-np.linalg.eigvalsh((y + y.conj().T) / 2.0)[0] / np.linalg.norm(y))
+    """Part of Y at the band's end that feeds a wave."""
+    return float(_activity(evaluate(model, 2j * np.pi * model.nu_hz[-1:]))[0])
+
+
+def _activity(y: np.ndarray) -> np.ndarray:
+    """Part (n,) of Y (n, 2, 2) that feeds a wave: minus the least eigenvalue of the Hermitian part, relative to Y."""
+    hermitian = (y + np.swapaxes(y.conj(), 1, 2)) / 2.0
+    return -np.linalg.eigvalsh(hermitian)[:, 0] / np.linalg.norm(y, axis=(1, 2))
 
 
 def _reaches_minus_one(gain: complex, before: np.ndarray) -> bool:

@@ -12,6 +12,7 @@ from .partial_fractions import basis, counts_upper, order_of, pairs_joined, sepa
 _STATED = (
     0.3  # a misfit below this part of the stated errors counts no further: what they hold besides noise is no mode
 )
+_FARTHEST = 100.0  # poles further out than so many times the band are a polynomial, to rounding
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
@@ -187,7 +188,9 @@ def refine(problem: Problem, trial: Trial, n_iterations: int = 10) -> Trial:
 
 
 def held(problem: Problem, poles: np.ndarray) -> np.ndarray:
-    """The poles; where the device is proved stable, those in the right half-plane mirrored into the left one."""
+    """The poles where they may be: not so far out that rounding decides, and on the left where the device is stable."""
+    far = np.abs(poles) / (_FARTHEST * abs(problem.s[-1]))
+    poles = poles / np.maximum(far, 1.0)
     return -np.abs(poles.real) + 1j * poles.imag if problem.n_unstable == 0 else poles
 
 

@@ -32,7 +32,7 @@ from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
 from .least_squares import Problem, Trial, refine, solve_residues, weighted
-from .order import drop_faint, drop_outliers, prune, select_order, settle_far_poles, settle_instability
+from .order import drop_faint, drop_outliers, prune, select_order, settle_far_poles, settle_instability, thin_out_far
 from .partial_fractions import order_of, upper_half
 from .rational import RationalModel
 from .vector_fit import vector_fit
@@ -100,7 +100,7 @@ def fit_response(
         trial = select_order(problem, max_order, start)
     trial = refine(problem, trial)
     problem, trial, notes = drop_outliers(problem, trial)
-    trial = prune(problem, trial)
+    trial = thin_out_far(problem, prune(problem, trial))
     trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_instability(problem, trial)

@@ -11,6 +11,7 @@ from .rational import RationalModel
 from .vector_fit import vector_fit
 
 _FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
+_NEARBY = 5.0  # where a real pole that replaces a far pair is started, in bands
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
 
@@ -106,6 +107,20 @@ def _reductions(problem: Problem, trial: Trial) -> list[tuple[np.ndarray, int]]:
         found.append((trial.poles, trial.tail - 1))
     far = np.flatnonzero(_is_far(problem, trial.poles) & (trial.tail == 1))
     return found + [(np.delete(trial.poles, k), 2) for k in far]
+
+
+def thin_out_far(problem: Problem, trial: Trial) -> Trial:
+    """Pairs outside the band give way to one real pole each where the BIC does not suffer.
+
+    Far away the data know a few terms of a power series, and several poles share them: their places, and with them the
+    errors of everything else, are then a matter of rounding.
+    """
+    for pole in trial.poles[_is_far(problem, trial.poles) & (trial.poles.imag > 0.0)]:
+        k = int(np.argmin(np.abs(trial.poles - pole)))
+        single = -min(abs(pole), _NEARBY * abs(problem.s[-1])) + 0j
+        thinner = refine(problem, trial_at(problem, np.append(single, np.delete(trial.poles, k)), trial.tail))
+        trial = min(trial, thinner, key=lambda t: t.bic)
+    return trial
 
 
 def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
