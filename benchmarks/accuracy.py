@@ -71,7 +71,7 @@ def _one(way: Way) -> Found:
     from seqsweep.sweep.config.sections import Config
     from seqsweep.sweep.measure import measure as measure_batch
     from seqsweep.sweep.measure.linearity import judged
-    from seqsweep.sweep.plan import make_plan
+    from seqsweep.sweep.planning import make_plan
     from seqsweep.sweep.run.campaign import response_of
 
     sys.path.insert(0, str(ROOT / "tests"))
@@ -88,7 +88,7 @@ def _one(way: Way) -> Found:
         }
     )
     plan = make_plan(config, plant)
-    rows = [row for batch in plan.batches() for row in measure_batch(plant, plan, batch).rows]
+    rows = [row for batch in plan.batches() for row in measure_batch(plant, batch).rows]
     response = response_of(plan, "p065", judged(sorted(rows, key=lambda row: row.f_hz), plan.nonlinear_above))
     assert np.all(response.ok), set(response.status)
     exact = oracle.admittance_pn(response.f_hz, 0.65e6, 690.0)

@@ -52,7 +52,7 @@ def measure(quick: bool) -> Report:
     f_hz = [point.f_hz for point in grid.points][every // 2 :: every]
     plan, plant = planned(CAMPAIGN, f"sweep.f_hz={f_hz}")
     timed, begin = _Timed(plant), time.process_time()
-    results = [measure_batch(timed, plan, batch) for batch in plan.batches()]
+    results = [measure_batch(timed, batch) for batch in plan.batches()]
     whole = time.process_time() - begin
     scale = len(grid.points) / len(f_hz)
     steps = plant.steps_spent
@@ -80,7 +80,7 @@ def _our_sweep(repetitions: int) -> tuple[float, int, float]:
 
     def sweep() -> None:
         for batch in plan.batches():
-            measure_batch(plant, plan, batch)
+            measure_batch(plant, batch)
 
     sweep()
     return median(seconds(sweep, repetitions, time.process_time)), len(plan.points), plan.simulated_s

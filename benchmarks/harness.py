@@ -152,7 +152,7 @@ def planned(campaign: Path, *settings: str) -> tuple[Any, Any]:
     """Plan and plant of a campaign."""
     from seqsweep.plant.registry import make_plant
     from seqsweep.sweep.config.sections import load_config
-    from seqsweep.sweep.plan import make_plan
+    from seqsweep.sweep.planning import make_plan
 
     config = load_config(campaign, settings)
     plant = make_plant(config.plant.id, config.plant.parameters)

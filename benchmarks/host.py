@@ -140,13 +140,13 @@ def _cpu_s(campaign: Path, path: Path) -> float:
     from seqsweep.plant.fmu.device import fmu_plant
     from seqsweep.sweep.config.sections import load_config
     from seqsweep.sweep.measure.measure import measure
-    from seqsweep.sweep.plan import make_plan
+    from seqsweep.sweep.planning import make_plan
 
     plant: Any = fmu_plant(str(path), **PARAMETERS)
     plan = make_plan(load_config(campaign), plant)
     begin = time.process_time()
     for batch in plan.batches():
-        measure(plant, plan, batch)
+        measure(plant, batch)
     own = time.process_time() - begin
     nursery = getattr(plant._branches, "_nursery", None)
     return own + (family_s(nursery[0].pid) if nursery else 0.0)

@@ -37,7 +37,7 @@ def child(quick: bool) -> dict[str, float]:
     batches = list(plan.batches())
 
     def sweep(map_: Callable[..., Any]) -> Callable[[], object]:
-        return lambda: list(map_(lambda batch: measure_batch(plant, plan, batch), batches))
+        return lambda: list(map_(lambda batch: measure_batch(plant, batch), batches))
 
     bare, _ = table_1_plan("sweep.tolerance=1e-4", "sweep.probes=0")
     without_probes = list(bare.batches())

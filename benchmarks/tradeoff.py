@@ -43,7 +43,7 @@ def _one(step_us: float, repetitions: int) -> tuple[float, float, float]:
     plan, plant = table_1_plan(f"plant.parameters.dt_s={step_us}e-6")
 
     def sweep() -> list[Any]:
-        return [row for batch in plan.batches() for row in measure_batch(plant, plan, batch).rows]
+        return [row for batch in plan.batches() for row in measure_batch(plant, batch).rows]
 
     rows = sweep()
     time_s = median(seconds(sweep, repetitions))

@@ -19,7 +19,7 @@ from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.read import read_table
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.config.sections import Config
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run.campaign import run
 
 

@@ -18,7 +18,8 @@ from .plant.errors import SeqsweepError
 from .plant.protocol import Plant
 from .plant.registry import PlantCard, releases_gil
 from .sweep.config.sections import Config, load_config
-from .sweep.plan import Plan, make_plan
+from .sweep.plan import Plan
+from .sweep.planning import make_plan
 from .sweep.run.campaign import Interrupted, Swept, sweep_in_memory
 from .sweep.run.campaign import run as run_campaign
 from .sweep.run.host import plant_or_card
@@ -244,7 +245,8 @@ def _live_plan(config: Config, plant: Plant) -> Plan:
     """The plan of an object: it is driven where it is, and the table says that its code is not on record."""
     from .making import is_known
 
-    plan = replace(make_plan(config, plant), isolate=False)
+    plan = make_plan(config, plant)
+    plan = replace(plan, hosting=replace(plan.hosting, isolate=False))
     return plan if is_known(plant) else replace(plan, plant_fingerprint={**plan.plant_fingerprint, "live": True})
 
 

@@ -136,9 +136,9 @@ def import_table(
         What the file does not say and nobody may guess: ``frame``, ``direction``, ``f1_hz``, ``quantity``, ``unit``,
         ``rated_voltage_v``, ``rated_power_va``, ``op_id``, ...; the error names the one that is missing.
     """
-    from .sweep.cli.exchange import format_of, read_file
+    from .sweep.cli.exchange import format_of, read_apart
 
-    responses, meta = to_table(read_file(Path(path), format_of(Path(path), format), facts), path)
+    responses, meta = to_table(read_apart(Path(path), format_of(Path(path), format), facts), path)
     return _kept(responses, meta, output)
 
 

@@ -8,26 +8,21 @@ parameters added to the plant's own; see `conventions`, Damping control.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
-from ..plant.protocol import Plant
-from ..plant.registry import PlantCard
 from ..tuning.gain import GainSearch, search_gain
 from ..tuning.result import PointTuning, TuningResult, confirmed
 from ..tuning.siso import SeriesRL
 from ..tuning.tune import tune_point
 from .config.sections import Config
-from .measure.linearity import judged
-from .measure.measure import measure
-from .measure.rows import BatchResult
-from .plan import Plan, make_plan
-from .run.campaign import response_of
-from .run.host import children, plant_or_card
+from .planning import make_plan
+from .run.campaign import sweep_in_memory
+from .run.host import plant_or_card
 
 Report = Callable[[str], None]
 
@@ -182,15 +177,6 @@ def sweep_with_damping(
         raise ConfirmError(
             f"{damped.plant.id} cannot be swept with damping control: it offers no measurement port ({error})"
         ) from None
-    plan = make_plan(damped, plant)
-    rows = sorted((row for each in _measured(plan, plant, jobs) for row in each.rows), key=lambda row: row.f_hz)
-    return response_of(plan, op_id, judged(rows, plan.nonlinear_above))
-
-
-def _measured(plan: Plan, plant: Plant | PlantCard, jobs: int) -> list[BatchResult]:
-    """Every batch in threads that share the plant, or children that hold it."""
-    with ThreadPoolExecutor(jobs) as pool:
-        if isinstance(plant, PlantCard):
-            with children(plan, jobs) as isolated:
-                return list(pool.map(isolated.measure, plan.batches()))
-        return list(pool.map(lambda batch: measure(plant, plan, batch), plan.batches()))
+    plan = replace(make_plan(damped, plant), adaptive=None)  # the first round of an adaptive grid will do
+    (response,) = sweep_in_memory(plan, plant, jobs=jobs, backend="threading").responses()
+    return response

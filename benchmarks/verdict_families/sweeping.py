@@ -13,7 +13,7 @@ def swept(plant: Any, content: Mapping[str, Any], output: Path) -> FrequencyResp
     """Run a campaign of one operating point and read its table; a table that is there already is read."""
     from seqsweep.identify.table.read import read_table
     from seqsweep.sweep.config.sections import Config
-    from seqsweep.sweep.plan import make_plan
+    from seqsweep.sweep.planning import make_plan
     from seqsweep.sweep.run.campaign import run
 
     if not output.exists():

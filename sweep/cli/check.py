@@ -17,8 +17,9 @@ from typing import Any
 
 from ...plant.check import Finding, check_plant
 from ...plant.errors import SeqsweepError
-from ...plant.registry import PlantSpec, refuse_unknown_id, runs_isolated
-from ..run.child import ChildFailed, child
+from ...plant.registry import PlantSpec
+from ..run.child import ChildFailed
+from ..run.host import host_named
 
 CHECK_S = 600.0
 """Wall time (s) that driving a plant through all its promises may take."""
@@ -54,12 +55,8 @@ def findings_of(plant_id: str, parameters: Mapping[str, Any] | None = None) -> S
     kind, _, rest = plant_id.partition(":")
     if kind == "fmu" and rest:
         _refuse_no_file(Path(rest))
-    refuse_unknown_id(plant_id)
-    if not runs_isolated(plant_id, None):
-        return check_plant(spec.make())
     try:
-        with child(spec) as asked:
-            return asked.ask(check_plant, CHECK_S, f"the check took longer than {CHECK_S:g} s of wall time")
+        return host_named(spec).ask(check_plant, CHECK_S, f"the check took longer than {CHECK_S:g} s of wall time")
     except ChildFailed as failure:
         return [Finding("survives", False, str(failure))]
 

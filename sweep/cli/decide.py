@@ -138,16 +138,13 @@ def grid(
     settings: Settings = None,
 ) -> None:
     """R + jX of the grid behind the PCC, identified while the plant runs on it."""
-    from ...plant.registry import PlantCard
-    from ..grid_probe.probe import format_report, make_probe, probe_grids, probe_in_a_child, to_json, write_json
+    from ..grid_probe.probe import format_report, make_probe, probe_hosted, to_json, write_json
+    from ..run.host import host_at_hand
 
     check_outputs(output, force, plot)
     planned, plant = planned_of(campaign, settings)
     probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
-    if isinstance(plant, PlantCard):
-        seen = probe_in_a_child(planned, probe, op)
-    else:
-        seen = probe_grids(plant, planned, probe, op)
+    seen = probe_hosted(host_at_hand(plant, planned.hosting), planned, probe, op)
     typer.echo(format_report(seen, probe, plant.f1_hz))
     if output is not None:
         write_json(to_json(seen, probe, planned), output)

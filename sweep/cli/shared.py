@@ -48,7 +48,7 @@ def config_of(campaign: Path, settings: list[str] | None) -> Config:
 
 def planned_from(config: Config) -> tuple[Plan, Plant | PlantCard]:
     """The plan of a configuration and the plant it is for; what the user should know is said."""
-    from ..plan import make_plan
+    from ..planning import make_plan
     from ..run.host import plant_or_card
 
     plant = plant_or_card(config)

@@ -20,7 +20,7 @@ import numpy as np
 from ...identify.files import atomic_file
 from ...identify.grid_impedance import GridImpedance, identify_grid
 from ...identify.uncertainty import NORMAL_95
-from ...plant.errors import SeqsweepError, reason_of
+from ...plant.errors import SeqsweepError, place_of, reason_of
 from ...plant.protocol import Injection, Job, NotSettled, Plant, Record, Source
 from ...plant.registry import PlantCard
 from ..config.sections import MAX_AMPLITUDE_PU
@@ -29,8 +29,8 @@ from ..excitation.odd_lines import SignalError
 from ..excitation.signals import Signal, multisine, qrb, residue_length, tones
 from ..measure.loadflow import reached
 from ..plan import Condition, Plan
-from ..run.child import ChildFailed, child
-from ..run.host import DEFAULT_TIMEOUT_S
+from ..run.child import ChildFailed
+from ..run.host import DEFAULT_TIMEOUT_S, Host
 
 FORMAT, VERSION = "seqsweep-grid", "1.0.0"
 SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-grid-1.schema.json"
@@ -138,19 +138,18 @@ def probe_grids(plant: Plant, plan: Plan, probe: Probe, op_ids: Sequence[str] | 
     return [_seen(plant, plan, probe, condition) for condition in conditions]
 
 
-def probe_in_a_child(plan: Plan, probe: Probe, op_ids: Sequence[str] | None = None) -> list[GridSeen]:
-    """As `probe_grids`, for a plant that runs isolated: a child holds it.
+def probe_hosted(host: Host, plan: Plan, probe: Probe, op_ids: Sequence[str] | None = None) -> list[GridSeen]:
+    """As `probe_grids`, for a plant that may live elsewhere.
 
     Raises
     ------
     ProbeError
-        If it crashes, hangs or raises.
+        If it crashes, hangs or raises there.
     """
-    timeout_s = (plan.timeout_s or DEFAULT_TIMEOUT_S) * len(plan.conditions)
+    timeout_s = (plan.hosting.timeout_s or DEFAULT_TIMEOUT_S) * len(plan.conditions)
     late = f"probing took longer than {timeout_s:g} s of wall time (plant.timeout_s for each operating point)"
     try:
-        with child(plan.spec) as asked:
-            return asked.ask(partial(_probed, plan, probe, op_ids), timeout_s, late)
+        return host.ask(partial(_probed, plan, probe, op_ids), timeout_s, late)
     except ChildFailed as failure:
         raise ProbeError(str(failure)) from None
 
@@ -161,10 +160,8 @@ def _probed(plan: Plan, probe: Probe, op_ids: Sequence[str] | None, plant: Plant
 
 def _chosen(plan: Plan, op_ids: Sequence[str] | None) -> list[Condition]:
     known = [condition.op_id for condition in plan.conditions]
-    unknown = [op_id for op_id in op_ids or () if op_id not in known]
-    if unknown:
-        raise ProbeError(f"no operating point {unknown[0]!r}; the campaign has {', '.join(known)}")
-    return [condition for condition in plan.conditions if not op_ids or condition.op_id in op_ids]
+    places = sorted({place_of(op_id, known, "the campaign", ProbeError) for op_id in op_ids or ()})
+    return [plan.conditions[place] for place in places] or list(plan.conditions)
 
 
 def _seen(plant: Plant, plan: Plan, probe: Probe, condition: Condition) -> GridSeen:
@@ -174,7 +171,7 @@ def _seen(plant: Plant, plan: Plan, probe: Probe, condition: Condition) -> GridS
         record = _driven(plant, plan, condition, injection, round(probe.signal.period_s / plant.dt_s))
     except NotSettled as refusal:
         return GridSeen(condition.op_id, None, float("nan"), f"{refusal.status}: {refusal}")
-    except ValueError:
+    except SeqsweepError:
         raise
     except Exception as error:
         return GridSeen(condition.op_id, None, float("nan"), f"failed: {reason_of(error)}")

@@ -16,7 +16,7 @@ from ...identify.operating_state import fundamental_facts
 from ...identify.settling import SETTLED_LIMIT, period_change, trend
 from ...plant.protocol import Job, Plant, Record
 from ..excitation.frequencies import Block
-from ..plan import Batch, Plan
+from ..plan import Batch
 from .loadflow import reached
 
 QUIET_BLOCKS = 2
@@ -78,7 +78,7 @@ class Unsettled(Exception):
     """The device drifts; the message is the reason of its rows."""
 
 
-def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
+def baseline(plant: Plant, batch: Batch) -> Baseline:
     """Settle the operating point of ``batch`` and listen to it unperturbed.
 
     Raises
@@ -88,22 +88,22 @@ def baseline(plant: Plant, plan: Plan, batch: Batch) -> Baseline:
     Unsettled
         If what it calls steady drifts.
     """
-    source, point = reached(plant, plan.source, batch.condition)
+    source, point = reached(plant, batch.source, batch.condition)
     state = plant.settle(point, source)
-    steps = plan.block.steps
+    steps = batch.block.steps
     ((_, record),) = run(plant, [Job(state, None)], QUIET_BLOCKS * steps)
     least_a = LEAST_CURRENT_PU * plant.rating.peak_current_a
     change = max(period_change(record.v), period_change(record.i, least_a))
     noisy = not change <= SETTLED_LIMIT
     if noisy:
         ((_, record),) = run(plant, [Job(state, None)], NOISY_BLOCKS * steps)
-        _refuse_drift(record, plan.block, change, least_a)
+        _refuse_drift(record, batch.block, change, least_a)
     v, i = (_mean_block(x, steps) if noisy else x[:steps] for x in (record.v, record.i))
-    v1, i1 = (line(x, plan.f1_hz, record.t0_s, plan.dt_s) for x in (v, i))
+    v1, i1 = (line(x, batch.f1_hz, record.t0_s, batch.dt_s) for x in (v, i))
     return Baseline(
         state=state,
-        v=harmonics(v, record.t0_s, plan.dt_s),
-        i=harmonics(i, record.t0_s, plan.dt_s),
+        v=harmonics(v, record.t0_s, batch.dt_s),
+        i=harmonics(i, record.t0_s, batch.dt_s),
         v_variance=_variance(record.v, steps) if noisy else np.zeros(steps),
         i_variance=_variance(record.i, steps) if noisy else np.zeros(steps),
         t0_s=record.t0_s,

@@ -18,7 +18,7 @@ from ...identify.transient_modes import transients
 from ...plant.protocol import Job, Plant, Record
 from ..excitation.frequencies import Frequency
 from ..excitation.odd_lines import detection_lines
-from ..plan import SETTLE_S, Batch, Plan
+from ..plan import SETTLE_S, Batch
 from .baseline import Baseline, run
 
 NEAR = 5
@@ -60,7 +60,7 @@ class Periods(NamedTuple):
     i: np.ndarray
 
 
-def drive_broadband(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> Heard:
+def drive_broadband(plant: Plant, batch: Batch, base: Baseline) -> Heard:
     """Run the four plays of ``batch`` period by period until every point is at rest, or their time is over.
 
     Raises
@@ -69,52 +69,54 @@ def drive_broadband(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> H
         If the plant does not give what was asked.
     """
     period_blocks = batch.points[0].window_blocks
-    period_s = period_blocks * plan.block.duration_s
-    jobs = [Job(base.state, plan.play(play, base.phi1)) for play in plan.plays_of(batch.condition)]
-    jobs, _ = _advance(plant, plan, jobs, ceil(SETTLE_S / plan.block.duration_s))
+    period_s = period_blocks * batch.block.duration_s
+    jobs = [Job(base.state, play.injection(base.phi1)) for play in batch.plays]
+    jobs, _ = _advance(plant, batch, jobs, ceil(SETTLE_S / batch.block.duration_s))
     fewest = NOISY_WINDOWS + 1 if base.noisy else 2
     heard: list[Periods] = []
     while True:
-        jobs, records = _advance(plant, plan, jobs, period_blocks)
-        heard = [*(heard if base.noisy else heard[-1:]), _differences(records, plan)]
+        jobs, records = _advance(plant, batch, jobs, period_blocks)
+        heard = [*(heard if base.noisy else heard[-1:]), _differences(records, batch)]
         if len(heard) < fewest:
             continue
-        result = _judged(plan, batch, base, heard)
-        over = records[0].t0_s + 2.0 * period_s - base.t0_s > plan.max_simulated_s
+        result = _judged(batch, base, heard)
+        over = records[0].t0_s + 2.0 * period_s - base.t0_s > batch.limits.max_simulated_s
         if over or all(s.agreed or not np.isfinite(s.residual) for pair in result.pairs for s in pair):
             return result
 
 
-def _advance(plant: Plant, plan: Plan, jobs: list[Job], n_blocks: int) -> tuple[list[Job], list[Record]]:
-    answers = run(plant, jobs, n_blocks * plan.block.steps)
+def _advance(plant: Plant, batch: Batch, jobs: list[Job], n_blocks: int) -> tuple[list[Job], list[Record]]:
+    answers = run(plant, jobs, n_blocks * batch.block.steps)
     after = [Job(state, job.injection) for (state, _), job in zip(answers, jobs, strict=True)]
     return after, [record for _, record in answers]
 
 
-def _differences(records: Sequence[Record], plan: Plan) -> Periods:
+def _differences(records: Sequence[Record], batch: Batch) -> Periods:
     """One period: half the difference of each pair, turned into the frame at f1."""
     first = records[0]
-    turn = 0.5 * rotation(plan.f1_hz, first.t0_s, plan.dt_s, len(first.v))
+    turn = 0.5 * rotation(batch.f1_hz, first.t0_s, batch.dt_s, len(first.v))
     plus_d, minus_d, plus_q, minus_q = records
     v = np.array([plus_d.v - minus_d.v, plus_q.v - minus_q.v])
     i = np.array([plus_d.i - minus_d.i, plus_q.i - minus_q.i])
     return Periods(first.t0_s, (turn * v)[:, None], (turn * i)[:, None])
 
 
-def _judged(plan: Plan, batch: Batch, base: Baseline, heard: Sequence[Periods]) -> Heard:
+def _judged(batch: Batch, base: Baseline, heard: Sequence[Periods]) -> Heard:
     v, i = (np.concatenate(parts, axis=1) for parts in ([p.v for p in heard], [p.i for p in heard]))
     if not base.noisy:
-        v, i = _without_transients(v, i, plan.dt_s)
+        v, i = _without_transients(v, i, batch.dt_s)
     spectra = Periods(heard[-1].t0_s, np.fft.fft(v) / v.shape[2], np.fft.fft(i) / i.shape[2])
 
+    limits = batch.limits
+
     def judge(v: np.ndarray, i: np.ndarray) -> Settled:
-        return steady_mean(v, i, plan.uncertainty) if base.noisy else first_agreement(v, i, plan.tolerance)
+        return steady_mean(v, i, limits.uncertainty) if base.noisy else first_agreement(v, i, limits.tolerance)
 
     pairs = []
     for point in batch.points:
-        v_at, i_at = _phasors(plan, point, spectra)
+        v_at, i_at = _phasors(batch, point, spectra)
         pairs.append((judge(v_at[0], i_at[0]), judge(v_at[1], i_at[1])))
-    return Heard(pairs, _distortion(plan, batch.points, spectra.i))
+    return Heard(pairs, _distortion(batch, spectra.i))
 
 
 def _without_transients(v: np.ndarray, i: np.ndarray, dt_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -125,32 +127,32 @@ def _without_transients(v: np.ndarray, i: np.ndarray, dt_s: float) -> tuple[np.n
     return v_re + 1j * v_im, i_re + 1j * i_im
 
 
-def _phasors(plan: Plan, point: Frequency, spectra: Periods) -> tuple[np.ndarray, np.ndarray]:
+def _phasors(batch: Batch, point: Frequency, spectra: Periods) -> tuple[np.ndarray, np.ndarray]:
     """Phasors (2, n_periods, 2) of v and i at f and 2 f1 - f, in absolute time."""
-    period_s = point.window_blocks * plan.block.duration_s
-    cycles = point.n_periods - round(plan.f1_hz * period_s)
+    period_s = point.window_blocks * batch.block.duration_s
+    cycles = point.n_periods - round(batch.f1_hz * period_s)
     begin = np.exp(-2j * np.pi * ((cycles / period_s * spectra.t0_s) % 1.0))
     at = np.array([cycles, -cycles])
     turn = np.array([begin, np.conj(begin)])
     return spectra.v[:, :, at] * turn, spectra.i[:, :, at] * turn
 
 
-def _distortion(plan: Plan, points: Sequence[Frequency], spectra: np.ndarray) -> np.ndarray:
+def _distortion(batch: Batch, spectra: np.ndarray) -> np.ndarray:
     """Odd-order distortion (n,) near every point, relative to its response; what scatters as noise is taken off."""
-    assert plan.signal is not None
-    _, silent = detection_lines(plan.signal.cycles)
+    played = batch.plays[0].signal.cycles
+    _, silent = detection_lines(played)
     if len(silent) < NEAR:
-        return np.full(len(points), np.nan)
-    response, _ = _powers(spectra, plan.signal.cycles)
+        return np.full(len(batch.points), np.nan)
+    response, _ = _powers(spectra, played)
     distortion, noise = _powers(spectra, silent)
-    period_s = points[0].window_blocks * plan.block.duration_s
+    period_s = batch.points[0].window_blocks * batch.block.duration_s
     levels = []
-    for point in points:
-        cycles = abs(point.n_periods - round(plan.f1_hz * period_s))
+    for point in batch.points:
+        cycles = abs(point.n_periods - round(batch.f1_hz * period_s))
         near = np.argsort(np.abs(np.log(silent / cycles)), kind="stable")[:NEAR]
-        played = int(np.searchsorted(plan.signal.cycles, cycles))
+        line = int(np.searchsorted(played, cycles))
         heard, of_noise = np.mean(distortion[near]), np.mean(noise[near])
-        levels.append(np.sqrt((heard - of_noise) / response[played]) if heard > SIGNIFICANT * of_noise else 0.0)
+        levels.append(np.sqrt((heard - of_noise) / response[line]) if heard > SIGNIFICANT * of_noise else 0.0)
     return np.array(levels)
 
 

@@ -1,6 +1,6 @@
 """From a batch of the plan to rows of the table: settle once, branch every shot, solve every point.
 
-`measure` is the worker of a campaign: a pure function of plant, plan and batch. Wrong physics ends as
+`measure` is the worker of a campaign: a pure function of plant and batch. Wrong physics ends as
 a status; a plant that raises costs the points that made it raise.
 """
 
@@ -18,7 +18,7 @@ from ...identify.uncertainty import propagate, propagate_common, scatter, studen
 from ...plant.errors import reason_of
 from ...plant.protocol import NotSettled, Plant
 from ..excitation.frequencies import Frequency
-from ..plan import Batch, Plan
+from ..plan import Batch
 from .baseline import Baseline, Unsettled, baseline
 from .broadband import drive_broadband
 from .linearity import compared, covariance_of
@@ -36,52 +36,48 @@ Pair = tuple[Settled, Settled]
 """The two experiments of a point: at f, and at its mirror."""
 
 
-def measure(plant: Plant, plan: Plan, batch: Batch) -> BatchResult:
+def measure(plant: Plant, batch: Batch) -> BatchResult:
     """Rows of every point of ``batch``, in its order.
 
     Parameters
     ----------
     plant : Plant
         The device; `PhasorPlant` is used where it is one.
-    plan : Plan
-        What is asked.
     batch : Batch
-        One operating point and some of its frequencies.
+        One operating point, some of its frequencies, and their shots.
     """
-    plan = plan.at(batch.amplitude_pu)
     try:
-        base = baseline(plant, plan, batch)
+        base = baseline(plant, batch)
     except NotSettled as refusal:
-        return failed_batch(plan, batch, refusal.status, str(refusal))
+        return failed_batch(batch, refusal.status, str(refusal))
     except Unsettled as drift:
-        return failed_batch(plan, batch, "not_settled", str(drift))
+        return failed_batch(batch, "not_settled", str(drift))
     except Exception as error:
-        return failed_batch(plan, batch, "failed", reason_of(error))
+        return failed_batch(batch, "failed", reason_of(error))
     condition = {"settle_residual": base.change, **base.fundamental}
-    return BatchResult(tuple(_rows(plant, plan, batch, base)), condition)
+    return BatchResult(tuple(_rows(plant, batch, base)), condition)
 
 
-def _rows(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Row]:
+def _rows(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
     """All points together, or, where that raises, one by one: a fault costs its own points only."""
     try:
-        return _measured(plant, plan, batch, base)
+        return _measured(plant, batch, base)
     except Exception as error:
         if len(batch.points) == 1:
-            return [blank_row(plan, batch.points[0], "failed", reason_of(error))]
-        return [row for point in batch.points for row in _rows(plant, plan, replace(batch, points=(point,)), base)]
+            return [blank_row(batch, batch.points[0], "failed", reason_of(error))]
+        return [row for k in range(len(batch.points)) for row in _rows(plant, batch.alone(k), base)]
 
 
-def _measured(plant: Plant, plan: Plan, batch: Batch, base: Baseline) -> list[Row]:
-    if plan.signal is not None:
-        heard = drive_broadband(plant, plan, batch, base)
-        rows = [_row(plan, point, pair, base, plant) for point, pair in zip(batch.points, heard.pairs, strict=True)]
+def _measured(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
+    if batch.plays:
+        heard = drive_broadband(plant, batch, base)
+        rows = [_row(batch, point, pair, base, plant) for point, pair in zip(batch.points, heard.pairs, strict=True)]
         return [replace(row, linearity=float(x)) for row, x in zip(rows, heard.distortion, strict=True)]
-    shots = [plan.shots_of(batch.condition, point) for point in batch.points]
-    settled = iter(drive(plant, plan, base, [shot for of_point in shots for shot in of_point]))
+    settled = iter(drive(plant, batch, base, [shot for of_point in batch.shots for shot in of_point]))
     rows = []
-    for point, of_point in zip(batch.points, shots, strict=True):
+    for point, of_point in zip(batch.points, batch.shots, strict=True):
         pairs = [(next(settled), next(settled)) for _ in of_point[::2]]
-        row, *probes = [_row(plan, point, pair, base, plant) for pair in pairs]
+        row, *probes = [_row(batch, point, pair, base, plant) for pair in pairs]
         noisy = any(_is_noisy(shot) for pair in pairs for shot in pair)
         for probe in probes:
             row = compared(row, probe, _noise(row, probe) if noisy else 0.0)
@@ -102,13 +98,13 @@ def _noise(*rows: Row) -> float:
 # Solving and judging
 
 
-def _row(plan: Plan, point: Frequency, pair: Pair, base: Baseline, plant: Plant) -> Row:
+def _row(batch: Batch, point: Frequency, pair: Pair, base: Baseline, plant: Plant) -> Row:
     v, i = (np.array([x.mean(axis=0) for x in of]) for of in ([s.v for s in pair], [s.i for s in pair]))
     residual = max(s.residual for s in pair) if _finite(v, i) else nan
-    status, reason = _judge_response(plan, point, pair, v, i, plant)
-    bound_per_s, lasted_s = proven(plan, point, pair)
+    status, reason = _judge_response(batch, point, pair, v, i, plant)
+    bound_per_s, lasted_s = proven(batch, point, pair)
     row = replace(
-        blank_row(plan, point, status, reason),
+        blank_row(batch, point, status, reason),
         residual=residual if isfinite(residual) else nan,
         growth_bound_per_s=bound_per_s,
         disturbed_s=lasted_s,
@@ -125,18 +121,18 @@ def _row(plan: Plan, point: Frequency, pair: Pair, base: Baseline, plant: Plant)
         )
     n_windows = min(len(s.v) for s in pair)
     row = replace(row, cond_v=cond_v, n_periods=row.n_periods * n_windows, window_s=row.window_s * n_windows)
-    return with_admittance(row, y, _covariance(plan, point, pair, base, y, v, i))
+    return with_admittance(row, y, _covariance(batch, point, pair, base, y, v, i))
 
 
 def _covariance(
-    plan: Plan, point: Frequency, pair: Pair, base: Baseline, y: np.ndarray, v: np.ndarray, i: np.ndarray
+    batch: Batch, point: Frequency, pair: Pair, base: Baseline, y: np.ndarray, v: np.ndarray, i: np.ndarray
 ) -> np.ndarray:
     """Covariance (8, 8) of Y (S^2): of the windows' scatter, or, on a quiet device, of the agreement asked.
 
     Windows that agree within the tolerance leave an error of that size: a rectangular distribution, whose standard
     deviation is its half-width over sqrt(3), shared by the two components.
     """
-    shared = propagate_common(v, _baseline_noise(plan, point, base, y), base.phi1)
+    shared = propagate_common(v, _baseline_noise(batch, point, base, y), base.phi1)
     if all(_is_noisy(shot) for shot in pair):
         n = min(len(shot.v) for shot in pair)
         noise = _scatter_of_mean(y, np.array([s.v[-n:] for s in pair]), np.array([s.i[-n:] for s in pair]), base)
@@ -144,7 +140,7 @@ def _covariance(
     each = [
         _scatter_of_mean(y, shot.v[None], shot.i[None], base)
         if _is_noisy(shot)
-        else (np.linalg.norm(shot.i) * plan.tolerance) ** 2 / 6.0 * np.eye(2)
+        else (np.linalg.norm(shot.i) * batch.limits.tolerance) ** 2 / 6.0 * np.eye(2)
         for shot in pair
     ]
     return propagate(v, np.array(each), base.phi1) + shared
@@ -156,10 +152,10 @@ def _scatter_of_mean(y: np.ndarray, v: np.ndarray, i: np.ndarray, base: Baseline
     return student_factor(freedom) * noise / v.shape[1]
 
 
-def _baseline_noise(plan: Plan, point: Frequency, base: Baseline, y: np.ndarray) -> np.ndarray:
+def _baseline_noise(batch: Batch, point: Frequency, base: Baseline, y: np.ndarray) -> np.ndarray:
     """E[e e^H] (2, 2) of what both experiments of a point owe to the baseline (A^2): nothing off f1's harmonics."""
-    window_s = point.window_blocks * plan.block.duration_s
-    cycles = [round(f * window_s) for f in (point.f_hz, 2.0 * plan.f1_hz - point.f_hz)]
+    window_s = point.window_blocks * batch.block.duration_s
+    cycles = [round(f * window_s) for f in (point.f_hz, 2.0 * batch.f1_hz - point.f_hz)]
     of_v, of_i = (
         np.diag([periodic_window_variance(x, n, point.window_blocks) for n in cycles])
         for x in (base.v_variance, base.i_variance)
@@ -168,7 +164,7 @@ def _baseline_noise(plan: Plan, point: Frequency, base: Baseline, y: np.ndarray)
 
 
 def _judge_response(
-    plan: Plan, point: Frequency, pair: Pair, v: np.ndarray, i: np.ndarray, plant: Plant
+    batch: Batch, point: Frequency, pair: Pair, v: np.ndarray, i: np.ndarray, plant: Plant
 ) -> tuple[str, str]:
     """Status and reason of what was heard, before it is solved."""
     if not _finite(v, i):
@@ -181,17 +177,17 @@ def _judge_response(
     worst = max(pair, key=lambda s: (not s.at_rest, s.residual))
     if worst.agreed:
         return "ok", ""
-    simulated = (worst.window + 1) * point.window_blocks * plan.block.duration_s
+    simulated = (worst.window + 1) * point.window_blocks * batch.block.duration_s
     if worst.at_rest:
         return "noisy", (
-            f"the standard error is {worst.residual:.2g} after {simulated:g} s; {plan.uncertainty:g} is asked "
+            f"the standard error is {worst.residual:.2g} after {simulated:g} s; {batch.limits.uncertainty:g} is asked "
             "(raise injection.amplitude_pu, sweep.max_simulated_s or sweep.uncertainty)"
         )
     if worst.growth > 1.1:
         return "diverged", f"the response grows by a factor {worst.growth:.3g} from window to window"
     return "not_settled", (
-        f"successive windows still differ by {worst.residual:.2g} after {simulated:g} s; {plan.tolerance:g} is asked "
-        "(raise sweep.max_simulated_s or sweep.tolerance)"
+        f"successive windows still differ by {worst.residual:.2g} after {simulated:g} s; "
+        f"{batch.limits.tolerance:g} is asked (raise sweep.max_simulated_s or sweep.tolerance)"
     )
 
 

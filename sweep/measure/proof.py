@@ -13,19 +13,19 @@ from typing import Any
 
 from ...identify.settling import Settled, growth_bound, shown_by
 from ..excitation.frequencies import Frequency
-from ..plan import SETTLE_S, Condition, Plan
+from ..plan import SETTLE_S, Batch, Condition, Plan
 from .loadflow import feeding
 from .rows import Row
 
 
-def proven(plan: Plan, point: Frequency, pair: Sequence[Settled]) -> tuple[float, float]:
+def proven(batch: Batch, point: Frequency, pair: Sequence[Settled]) -> tuple[float, float]:
     """Growth bound (1/s) of a point, the stricter one of its two shots, and how long (s) that shot lasted.
 
     NaN, NaN unless both shots came to rest.
     """
-    window_s = point.window_blocks * plan.block.duration_s
-    before_s = 0.0 if plan.signal is None else SETTLE_S
-    farthest_rad_s = 2.0 * pi * (_highest_hz(plan) + point.f_hz + 2.0 * plan.f1_hz)
+    window_s = point.window_blocks * batch.block.duration_s
+    before_s = SETTLE_S if batch.plays else 0.0
+    farthest_rad_s = 2.0 * pi * (batch.limits.highest_hz + point.f_hz + 2.0 * batch.f1_hz)
     lasted = [before_s + (shot.window + 1) * window_s for shot in pair]
     if not all(shot.at_rest for shot in pair):
         return nan, nan
@@ -33,11 +33,6 @@ def proven(plan: Plan, point: Frequency, pair: Sequence[Settled]) -> tuple[float
         (growth_bound(*shown_by(shot, window_s), s, farthest_rad_s), s) for shot, s in zip(pair, lasted, strict=True)
     )
     return found if isfinite(found[0]) else (nan, nan)
-
-
-def _highest_hz(plan: Plan) -> float:
-    """Highest frequency (Hz) of the band that is swept."""
-    return plan.adaptive.f_max_hz if plan.adaptive is not None else plan.points[-1].f_hz
 
 
 def stable_on(plan: Plan, condition: Condition, rows: Sequence[Row]) -> dict[str, Any] | None:

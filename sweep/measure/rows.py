@@ -9,7 +9,7 @@ import numpy as np
 
 from ...identify.table.format import N_COV, pack_covariance
 from ..excitation.frequencies import Frequency
-from ..plan import Batch, Plan
+from ..plan import Batch
 
 UNKNOWN = (nan,) * N_COV
 
@@ -64,7 +64,7 @@ class BatchResult:
     condition: dict[str, float]
 
 
-def blank_row(plan: Plan, point: Frequency, status: str, reason: str) -> Row:
+def blank_row(batch: Batch, point: Frequency, status: str, reason: str) -> Row:
     """A row without a result: what was asked stands, what was measured is NaN."""
     return Row(
         f_hz=point.f_hz,
@@ -72,9 +72,9 @@ def blank_row(plan: Plan, point: Frequency, status: str, reason: str) -> Row:
         cov=UNKNOWN,
         status=status,
         reason=reason,
-        amplitude_pu=plan.amplitude_pu,
+        amplitude_pu=batch.amplitude_pu,
         n_periods=float(point.n_periods),
-        window_s=point.window_blocks * plan.block.duration_s,
+        window_s=point.window_blocks * batch.block.duration_s,
         cond_v=nan,
         linearity=nan,
         residual=nan,
@@ -87,6 +87,6 @@ def with_admittance(row: Row, y: np.ndarray, covariance: np.ndarray) -> Row:
     return replace(row, y=elements, cov=tuple(pack_covariance(covariance[None])[0].tolist()))
 
 
-def failed_batch(plan: Plan, batch: Batch, status: str, reason: str) -> BatchResult:
+def failed_batch(batch: Batch, status: str, reason: str) -> BatchResult:
     """Every point of ``batch`` as a row of ``status`` with the same reason."""
-    return BatchResult(tuple(blank_row(plan, point, status, reason) for point in batch.points), {})
+    return BatchResult(tuple(blank_row(batch, point, status, reason) for point in batch.points), {})

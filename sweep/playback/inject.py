@@ -22,7 +22,8 @@ from ...plant.errors import SeqsweepError
 from ...plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
 from ...plant.registry import PlantCard
 from ..config.sections import Config
-from ..plan import Condition, Plan, make_plan
+from ..plan import Condition, Plan
+from ..planning import make_plan
 from ..run.host import plant_or_card
 from .comtrade import Encoding
 from .manifest import AMPLITUDE_UNIT, FILE_NAME, FORMAT, Experiment, Manifest, PlayedTone
@@ -249,9 +250,9 @@ def _wanted(plan: Plan, condition: Condition) -> Iterator[_Wanted]:
         return
     for point in plan.points:
         for shot in plan.shots_of(condition, point):
-            tones = plan.injection(shot).tones
+            tones = shot.injection.tones
             played = tuple(PlayedTone(shot.f_hz, tone.f_hz, tone.amplitude, tone.phase_rad) for tone in tones)
-            yield _Wanted(played, shot.window_blocks * plan.block.duration_s)
+            yield _Wanted(played, shot.window.n_blocks * plan.block.duration_s)
 
 
 def _broadband(plan: Plan, condition: Condition) -> Iterator[_Wanted]:
@@ -263,7 +264,7 @@ def _broadband(plan: Plan, condition: Condition) -> Iterator[_Wanted]:
     rows = np.array([point.f_hz for point in plan.points])
     window_s = plan.points[0].window_blocks * plan.block.duration_s
     for play in plan.plays_of(condition):
-        tones = plan.play(play, angle_rad=0.0).tones
+        tones = play.injection(angle_rad=0.0).tones
         played = (
             PlayedTone(_served(rows, tone.f_hz, plan.f1_hz), tone.f_hz, tone.amplitude, tone.phase_rad)
             for tone in tones

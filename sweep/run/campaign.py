@@ -27,12 +27,11 @@ from ...plant.states.processes import die_with_parent
 from ..excitation.adaptive_rounds import certificate, certificate_text, next_round
 from ..excitation.frequencies import Frequency
 from ..measure.linearity import judged
-from ..measure.measure import measure
 from ..measure.proof import stable_on
 from ..measure.rows import BatchResult, Row
-from ..plan import Batch, Condition, Plan
+from ..plan import Batch, Condition, Hosting, Plan
 from . import shards
-from .host import children
+from .host import host_at_hand, host_of
 from .pilots import chosen, parts, pilots
 
 Report = Callable[[int, int, float], None]
@@ -156,7 +155,7 @@ class Workers(NamedTuple):
 
     def backend_for(self, plan: Plan, plant: Plant | PlantCard) -> str:
         """The backend that was asked for, else threads for plants that release the lock or run isolated."""
-        return self.backend or ("threading" if plan.isolate or releases_gil(plant) else "loky")
+        return self.backend or ("threading" if plan.hosting.isolate or releases_gil(plant) else "loky")
 
 
 def _swept(
@@ -370,30 +369,25 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[None]:
 def _worker(
     plan: Plan, plant: Plant | PlantCard, jobs: int, backend: str
 ) -> Iterator[Callable[[Batch], tuple[str, BatchResult]]]:
-    """The task of a batch: threads share the plant, or children that hold it; processes make their own."""
+    """The task of a batch: threads share a host, processes make their own."""
     if backend == "loky":
-        yield partial(_in_child, plan)
+        yield partial(_in_child, plan.hosting)
     elif backend == "dask":
-        yield partial(_in_process, plan)
-    elif plan.isolate:
-        with children(plan, jobs) as isolated:
-            yield lambda batch: (batch.key, isolated.measure(batch))
+        yield partial(_in_process, plan.hosting)
     else:
-        assert not isinstance(plant, PlantCard)
-        yield lambda batch: (batch.key, measure(plant, plan, batch))
+        with host_at_hand(plant, plan.hosting).measuring(jobs) as measure:
+            yield lambda batch: (batch.key, measure(batch))
 
 
-def _in_child(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
+def _in_child(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
     """A process of our own would wait minutes for a runner that was killed: it goes with it."""
     die_with_parent(os.getppid())
-    return _in_process(plan, batch)
+    return _in_process(hosting, batch)
 
 
-def _in_process(plan: Plan, batch: Batch) -> tuple[str, BatchResult]:
-    if plan.isolate:
-        with children(plan, 1) as isolated:
-            return batch.key, isolated.measure(batch)
-    return batch.key, measure(plan.spec.make(), plan, batch)
+def _in_process(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
+    with host_of(hosting).measuring(1) as measure:
+        return batch.key, measure(batch)
 
 
 # The table

@@ -1,29 +1,111 @@
-"""A campaign whose plant runs elsewhere: a crash or a hang costs the points that caused it, nothing else.
+"""Where a plant lives: here, or in a child process that is asked. Whoever has a question need not know which.
 
-The runner's threads lend each other a few children. A child serves batch after batch; one that dies or
-overruns its time is replaced, and its batch is measured again point by point, so that the reason lands
-on the right rows.
+A question is a function of the plant, named at module level so that it can be sent. Of foreign code a crash
+or a hang costs what caused it, nothing else: a campaign's threads lend each other a few children, one that dies
+or overruns its time is replaced, and its batch is measured again point by point, so that the reason lands on
+the right rows.
 """
 
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 from ...plant.protocol import Plant
 from ...plant.registry import PlantCard, PlantError, PlantSpec, make_plant, refuse_unknown_id, runs_isolated
 from ..config.sections import Config
 from ..measure.measure import measure
 from ..measure.rows import BatchResult, failed_batch
-from ..plan import Batch, Plan
+from ..plan import Batch, Hosting
 from .child import Child, ChildFailed, child, scratch
+
+T = TypeVar("T")
+
+Measure = Callable[[Batch], BatchResult]
+"""`measure` with its plant at hand; may be called from any thread."""
 
 DEFAULT_TIMEOUT_S = 60.0
 """Wall time (s) that one shot may take, where the campaign does not say."""
+
+
+class Host(Protocol):
+    """Who answers questions about one plant."""
+
+    def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
+        """``question(plant)``, answered within ``timeout_s`` (s) of wall time; ``late`` is the reason where it is not.
+
+        Raises
+        ------
+        ChildFailed
+            If the plant lives elsewhere and there is no answer.
+        PlantError
+            If the plant cannot be made.
+        """
+
+    def measuring(self, n_workers: int) -> AbstractContextManager[Measure]:
+        """For a ``with`` block: `measure`, for so many threads at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalHost:
+    """The plant is here. What it raises is raised; nobody watches the clock."""
+
+    plant: Plant
+
+    def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
+        return question(self.plant)
+
+    @contextmanager
+    def measuring(self, n_workers: int) -> Iterator[Measure]:
+        yield partial(measure, self.plant)
+
+
+@dataclass(frozen=True, slots=True)
+class ChildHost:
+    """The plant lives in child processes: one for a question, several for batches."""
+
+    spec: PlantSpec
+    timeout_s: float | None = None
+
+    def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
+        with child(self.spec) as asked:
+            return asked.ask(question, timeout_s, late)
+
+    @contextmanager
+    def measuring(self, n_workers: int) -> Iterator[Measure]:
+        with scratch() as folder:
+            lent = Children(self.spec, self.timeout_s or DEFAULT_TIMEOUT_S, n_workers, folder)
+            try:
+                yield lent.measure
+            finally:
+                lent.close()
+
+
+def host_of(hosting: Hosting) -> Host:
+    """The host of a plan's plant, which is made anew where it is to live here."""
+    return ChildHost(hosting.spec, hosting.timeout_s) if hosting.isolate else LocalHost(hosting.spec.make())
+
+
+def host_at_hand(plant: Plant | PlantCard, hosting: Hosting) -> Host:
+    """The host of a plant that is at hand, or of one whose card alone is."""
+    return host_of(hosting) if isinstance(plant, PlantCard) else LocalHost(plant)
+
+
+def host_named(spec: PlantSpec, isolate: bool | None = None) -> Host:
+    """The host of a plant by name; ``isolate`` None: as suits the plant.
+
+    Raises
+    ------
+    PlantError
+        If there is no such plant, it cannot be made, or a black box is wished into this process.
+    """
+    refuse_unknown_id(spec.id)
+    return host_of(Hosting(spec, runs_isolated(spec.id, isolate), None))
 
 
 def plant_or_card(config: Config) -> Plant | PlantCard:
@@ -50,29 +132,30 @@ class Children:
 
     Parameters
     ----------
-    plan : Plan
-        What is measured.
+    spec : PlantSpec
+        The plant.
+    timeout_s : float
+        Wall time (s) that one shot may take.
     n_children : int
         How many at once; they are started when first needed.
     folder : path
         For their temporary files.
     """
 
-    def __init__(self, plan: Plan, n_children: int, folder: Path):
-        self._plan, self._folder = plan, folder
+    def __init__(self, spec: PlantSpec, timeout_s: float, n_children: int, folder: Path):
+        self._spec, self._timeout_s, self._folder = spec, timeout_s, folder
         self._idle: queue.SimpleQueue[Child | None] = queue.SimpleQueue()
         for _ in range(n_children):
             self._idle.put(None)
-        self._timeout_s = plan.timeout_s or DEFAULT_TIMEOUT_S
 
     def measure(self, batch: Batch) -> BatchResult:
         """`measure` in a child; rows whose plant crashed or hung are "failed" with the reason."""
         try:
             return self._ask(batch)
         except (ChildFailed, PlantError) as failure:
-            if len(batch.points) == 1 or self._plan.signal is not None:  # one signal serves all points
-                return failed_batch(self._plan.at(batch.amplitude_pu), batch, "failed", str(failure))
-        parts = [self.measure(replace(batch, points=(point,))) for point in batch.points]
+            if len(batch.points) == 1 or batch.plays:  # one signal serves all points
+                return failed_batch(batch, "failed", str(failure))
+        parts = [self.measure(batch.alone(k)) for k in range(len(batch.points))]
         condition = next((part.condition for part in parts if part.condition), {})
         return BatchResult(tuple(row for part in parts for row in part.rows), condition)
 
@@ -88,12 +171,11 @@ class Children:
 
     def _ask(self, batch: Batch) -> BatchResult:
         lent = self._idle.get()
-        n_shots = len(self._plan.shots_in(batch))
-        timeout_s = self._timeout_s * n_shots
-        late = f"{n_shots} shots took longer than {timeout_s:g} s of wall time, plant.timeout_s for each"
+        timeout_s = self._timeout_s * batch.n_shots
+        late = f"{batch.n_shots} shots took longer than {timeout_s:g} s of wall time, plant.timeout_s for each"
         try:
-            lent = lent or Child(self._plan.spec, self._folder)
-            return lent.ask(partial(_measured, self._plan, batch), timeout_s, late)
+            lent = lent or Child(self._spec, self._folder)
+            return lent.ask(partial(_measured, batch), timeout_s, late)
         except ChildFailed:
             if lent is not None:
                 lent.kill()
@@ -103,16 +185,5 @@ class Children:
             self._idle.put(lent)
 
 
-def _measured(plan: Plan, batch: Batch, plant: Plant) -> BatchResult:
-    return measure(plant, plan, batch)
-
-
-@contextmanager
-def children(plan: Plan, n_children: int) -> Iterator[Children]:
-    """Children for a campaign; none of them, and no temporary file of theirs, outlives the block."""
-    with scratch() as folder:
-        lent = Children(plan, n_children, folder)
-        try:
-            yield lent
-        finally:
-            lent.close()
+def _measured(batch: Batch, plant: Plant) -> BatchResult:
+    return measure(plant, batch)

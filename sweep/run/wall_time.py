@@ -11,8 +11,7 @@ from ...plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
 from ...plant.registry import PlantCard
 from ..measure.loadflow import reached
 from ..plan import EXPECTED_WINDOWS, Plan
-from .child import child
-from .host import DEFAULT_TIMEOUT_S
+from .host import DEFAULT_TIMEOUT_S, host_at_hand
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
@@ -36,23 +35,22 @@ def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     ChildFailed
         If a plant in a child crashes, hangs or raises.
     """
-    per_block_s, together = _cost_in_a_child(plan) if isinstance(plant, PlantCard) else _cost_of_a_block(plan, plant)
+    per_block_s, together = _cost(plan, plant)
     batches = list(plan.batches())
     if plan.signal is not None:
         blocks = [plan.simulated_s / plan.n_shots / plan.block.duration_s] * len(batches)
         runs = [1] * len(batches)
     else:
         blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
-        runs = [ceil(len(plan.shots_in(batch)) / together) for batch in batches]
+        runs = [ceil(batch.n_shots / together) for batch in batches]
     work_s = [per_block_s * b * n + BATCH_OVERHEAD_S for b, n in zip(blocks, runs, strict=True)]
     return START_S + max(max(work_s), sum(work_s) / jobs)
 
 
-def _cost_in_a_child(plan: Plan) -> tuple[float, int]:
-    timeout_s = plan.timeout_s or DEFAULT_TIMEOUT_S
-    with child(plan.spec) as asked:
-        late = f"settling and a few periods took longer than {timeout_s:g} s of wall time (plant.timeout_s)"
-        cost = asked.ask(partial(_cost_or_refusal, plan), timeout_s, late)
+def _cost(plan: Plan, plant: Plant | PlantCard) -> tuple[float, int]:
+    timeout_s = plan.hosting.timeout_s or DEFAULT_TIMEOUT_S
+    late = f"settling and a few periods took longer than {timeout_s:g} s of wall time (plant.timeout_s)"
+    cost = host_at_hand(plant, plan.hosting).ask(partial(_cost_or_refusal, plan), timeout_s, late)
     if isinstance(cost, NotSettled):
         raise cost
     return cost
@@ -87,7 +85,7 @@ def _cost_of_a_block(plan: Plan, plant: Plant) -> tuple[float, int]:
 
 def _cost_of_plays(plan: Plan, plant: Plant, state: Any) -> float:
     """Seconds for one block of the four plays together: their many tones cost more than the device."""
-    jobs = [Job(state, plan.play(play, 0.0)) for play in plan.plays_of(plan.conditions[0])]
+    jobs = [Job(state, play.injection(0.0)) for play in plan.plays_of(plan.conditions[0])]
     plant.run(jobs, plan.block.steps)
     begin = time.perf_counter()
     plant.run(jobs, plan.block.steps)

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 from ...identify.response import FrequencyResponse
 from ...identify.table.read import read_table
 from ...plant.protocol import Plant
-from ...plant.registry import PlantSpec, card_of, runs_isolated
-from ..run.child import ChildFailed, child
+from ...plant.registry import PlantSpec, card_of
+from ..run.child import ChildFailed
+from ..run.host import host_named
 from .report import format_report, write_json
 from .runs import Verification, cause_gone_of, verify
 from .scenario import Story, read_story
@@ -59,12 +60,9 @@ def verification(question: Question, spec: PlantSpec | None = None, isolate: boo
         if section is None:
             return answer(question)
         spec, isolate = PlantSpec(section["id"], section.get("parameters", {})), section.get("isolate")
-    if not runs_isolated(spec.id, isolate):
-        return answer(question, spec.make())
+    late = f"verifying took longer than {VERIFY_S:g} s of wall time"
     try:
-        with child(spec) as asked:
-            late = f"verifying took longer than {VERIFY_S:g} s of wall time"
-            return asked.ask(partial(_answer_with_card, question, spec), VERIFY_S, late)
+        return host_named(spec, isolate).ask(partial(_answer_with_card, question, spec), VERIFY_S, late)
     except ChildFailed as failure:
         raise VerifyError(str(failure)) from None
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...plant.damping.control import DampingSettings
 from ...plant.damping.events import Scenario, Trajectory, conditions_at, simulate
-from ...plant.errors import in_words
+from ...plant.errors import SeqsweepError, in_words
 from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
 from ...tuning.siso import SeriesRL
 from .reading import RunReport, report
@@ -115,7 +115,7 @@ def _driven(
         return simulate(plant, scenario, settings, duration_s, cause_gone=cause_gone)
     except NotSettled as refusal:
         raise VerifyError(f"the scenario has no state to begin from: {refusal}") from None
-    except ValueError:
+    except SeqsweepError:
         raise
     except Exception as error:
         raise VerifyError(

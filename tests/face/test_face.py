@@ -79,7 +79,7 @@ def test_a_folder_that_shares_its_name_with_a_function_is_both():
     import seqsweep.sweep.plan as plan
 
     assert callable(ss.sweep)
-    assert plan.make_plan is sys.modules["seqsweep.sweep.plan"].make_plan
+    assert plan.Plan is sys.modules["seqsweep.sweep.plan"].Plan
     assert ss.sweep.plan is plan
     assert "active_power_mw" in __import__("inspect").signature(ss.sweep).parameters
 

@@ -24,7 +24,7 @@ from seqsweep.sweep.cli.plan_text import plan_text
 from seqsweep.sweep.config.sections import Config, ConfigError
 from seqsweep.sweep.excitation.adaptive_rounds import Adaptive, first_round, next_round
 from seqsweep.sweep.excitation.frequencies import GridError, coherent_block
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.report.summary import summary
 from seqsweep.sweep.run import campaign, shards
 from seqsweep.sweep.run.campaign import RunError, run

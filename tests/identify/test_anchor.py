@@ -11,7 +11,7 @@ from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.config.sections import Config
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run.campaign import response_of
 
 from ..support.sweeps import rows_of

@@ -34,7 +34,7 @@ from seqsweep.sweep.grid_probe.probe import (
     probe_grids,
     to_json,
 )
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.tuning.siso import parse_grid
 
 from ..support.commands import call
@@ -451,7 +451,7 @@ def test_a_noisy_plant_gets_errors_and_an_unstable_grid_its_reason(tmp_path):
 def test_an_operating_point_nobody_has_is_refused_with_those_there_are(tmp_path):
     done = call("grid", campaign(tmp_path), "--op", "nowhere")
     assert done.returncode == 2
-    assert "no operating point 'nowhere'; the campaign has table1, strong" in done.stderr
+    assert "no operating point 'nowhere' in the campaign; it has table1, strong" in done.stderr
 
 
 def test_an_ideal_source_has_no_grid_behind_it(tmp_path):

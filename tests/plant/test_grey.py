@@ -272,7 +272,7 @@ def test_hidden_statics_taken_for_declared_states_would_answer_wrongly():
 def test_every_shot_of_a_batch_has_a_place_among_the_positions_that_are_kept(n_points):
     """Where one had none, each of them would have to go its whole way again in every round."""
     plan = planned(plant(), sweep={"f_min_hz": 1.0, "f_max_hz": 1000.0, "points": n_points})
-    most = max(len(plan.shots_in(batch)) for batch in plan.batches())
+    most = max(batch.n_shots for batch in plan.batches())
     assert most + 2 <= POSITIONS_KEPT  # beside the settled state and the unperturbed branch
 
 

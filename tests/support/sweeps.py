@@ -7,7 +7,7 @@ import numpy as np
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure.linearity import covariance_of, judged
 from seqsweep.sweep.measure.measure import measure
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 
 
 def planned(plant, *, f_hz=None, point=None, sweep=None, **sections):
@@ -24,7 +24,7 @@ def planned(plant, *, f_hz=None, point=None, sweep=None, **sections):
 
 def rows_of(plant, plan):
     """Rows of the first operating point, ascending, as the table has them."""
-    rows = [row for batch in plan.batches() for row in measure(plant, plan, batch).rows]
+    rows = [row for batch in plan.batches() for row in measure(plant, batch).rows]
     return judged(sorted(rows, key=lambda row: row.f_hz), plan.nonlinear_above)
 
 

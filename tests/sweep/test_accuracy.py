@@ -22,7 +22,7 @@ from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.excitation.frequencies import coherent_block, generated
 from seqsweep.sweep.measure.measure import measure
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 
 from ..support import oracle
 
@@ -47,7 +47,7 @@ def swept(plant, sweep, *, power_mw=P_MW, voltage_pu=1.0, source=None, kind="ser
         }
     )
     plan = make_plan(config, plant)
-    rows = sorted((row for batch in plan.batches() for row in measure(plant, plan, batch).rows), key=lambda r: r.f_hz)
+    rows = sorted((row for batch in plan.batches() for row in measure(plant, batch).rows), key=lambda r: r.f_hz)
     assert {row.status for row in rows} == {"ok"}
     assert len(rows) == len(plan.points)
     parts = np.array([row.y for row in rows])

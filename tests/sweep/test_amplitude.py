@@ -10,7 +10,7 @@ from seqsweep.plant.registry import make_plant
 from seqsweep.plant.rl_branch import admittance
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.config.sections import Config
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run.campaign import run
 from seqsweep.sweep.run.pilots import RATIO, STEPS
 

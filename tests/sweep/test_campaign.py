@@ -15,7 +15,8 @@ from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure import loadflow
-from seqsweep.sweep.plan import Grid, make_plan
+from seqsweep.sweep.plan import Grid
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run import campaign, shards
 from seqsweep.sweep.run.campaign import RunError, run
 
@@ -228,7 +229,7 @@ def test_a_run_that_only_lacks_its_table_says_that_nothing_is_left_to_measure(le
     plan, plant, output, _ = left_behind
     said = []
     for batch in plan.batches():
-        shards.write(shards.folder_of(output), batch.key, campaign.measure(plant, plan, batch))
+        shards.write(shards.folder_of(output), batch.key, campaign.measure(plant, batch))
     counted.clear()
     run(plan, plant, output, jobs=1, backend="threading", say=said.append)
     total = sum(len(batch.points) for batch in plan.batches())

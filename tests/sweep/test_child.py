@@ -14,7 +14,7 @@ import pytest
 from seqsweep.plant.protocol import Rating
 from seqsweep.plant.registry import PlantError, PlantSpec, card_of, is_black_box, make_plant, register, runs_isolated
 from seqsweep.sweep.config.sections import Config
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run import child as children_of
 from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
 from seqsweep.sweep.run.host import plant_or_card

@@ -10,7 +10,7 @@ from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.confirm import ConfirmError, confirm, margin_with
 from seqsweep.sweep.measure.measure import measure
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run.campaign import response_of
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
@@ -40,7 +40,7 @@ def tuned(config: Config, margin: float):
     plan = make_plan(config, plant)
     rows = {condition.op_id: [] for condition in plan.conditions}
     for batch in plan.batches():
-        rows[batch.condition.op_id] += measure(plant, plan, batch).rows
+        rows[batch.condition.op_id] += measure(plant, batch).rows
     responses = [response_of(plan, name, sorted(found, key=lambda row: row.f_hz)) for name, found in rows.items()]
     return tune(responses, GRID, margin=margin)
 

@@ -27,7 +27,7 @@ BUGS = {
 def with_bug(expression, *arguments, cwd):
     """The command line in a process of its own, whose planning runs into ``expression``."""
     program = (
-        "import numpy, sys; import seqsweep.sweep.cli.main as command, seqsweep.sweep.plan as plan\n"
+        "import numpy, sys; import seqsweep.sweep.cli.main as command, seqsweep.sweep.planning as plan\n"
         f"def bug(*given): {expression}\n"
         f"plan.make_plan = bug; sys.argv = ['seqsweep', *{list(map(str, arguments))!r}]; command.main()"
     )

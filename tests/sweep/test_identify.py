@@ -16,7 +16,7 @@ from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure.baseline import baseline
 from seqsweep.sweep.measure.measure import measure
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.recorded.identify import identify, request_of
 
 from ..identify.test_hear import F1, branch, branch_y, noisy, relative_norms
@@ -318,12 +318,12 @@ def test_the_same_data_give_the_same_admittance_as_the_sweep():
     )
     plant = make_plant("dpmsg-v1")
     plan = make_plan(config, plant)
-    rows = {row.f_hz: row for batch in plan.batches() for row in measure(plant, plan, batch).rows}
-    state = baseline(plant, plan, next(plan.batches())).state
+    rows = {row.f_hz: row for batch in plan.batches() for row in measure(plant, batch).rows}
+    state = baseline(plant, next(plan.batches())).state
     found = []
     for shot in plan.shots():
-        settled, _ = plant.run([Job(state, plan.injection(shot))], round(15.0 / plan.dt_s))[0]
-        _, record = plant.run([Job(settled, plan.injection(shot))], round(2.0 / plan.dt_s))[0]
+        settled, _ = plant.run([Job(state, shot.injection)], round(15.0 / plan.dt_s))[0]
+        _, record = plant.run([Job(settled, shot.injection)], round(2.0 / plan.dt_s))[0]
         waveforms = by_hand.Heard(Stretch(record.v, record.i, record.dt_s), t0_s=record.t0_s)
         (heard,) = hear(waveforms, 0, waveforms.n_samples, (shot.injected_hz,))
         found.append(Experiment("", heard, shot.f_hz))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from math import isnan
 
 import numpy as np
@@ -13,7 +12,7 @@ from seqsweep.plant.rl_branch import RLBranch, admittance
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure.measure import measure
-from seqsweep.sweep.plan import Batch, make_plan
+from seqsweep.sweep.planning import make_plan
 
 from ..support import plants
 
@@ -33,7 +32,7 @@ def planned(plant, *, f_hz=F_HZ, point=None, sweep=None, **sections):
 
 
 def rows_of(plant, plan):
-    rows = [row for batch in plan.batches() for row in measure(plant, plan, batch).rows]
+    rows = [row for batch in plan.batches() for row in measure(plant, batch).rows]
     return sorted(rows, key=lambda row: row.f_hz)
 
 
@@ -173,14 +172,14 @@ def test_a_plant_without_phasors_gives_the_rows_of_one_with_them():
 def test_a_point_is_the_same_to_the_last_bit_whatever_shares_its_batch():
     plant = ReferenceTurbine()
     plan = planned(plant, sweep={"f_min_hz": 1.0, "f_max_hz": 1000.0, "points": 24})
-    together = {row.f_hz: row for batch in plan.batches() for row in measure(plant, plan, batch).rows}
+    together = {row.f_hz: row for batch in plan.batches() for row in measure(plant, batch).rows}
     condition = plan.conditions[0]
     rng = np.random.default_rng(1)
     shuffled = [plan.points[k] for k in rng.permutation(len(plan.points))]
     for size in (1, 5, len(shuffled)):
         for first in range(0, len(shuffled), size):
-            batch = Batch(condition, tuple(shuffled[first : first + size]), plan.amplitude_pu, "any")
-            for row in measure(plant, plan, batch).rows:
+            batch = plan.batch(condition, tuple(shuffled[first : first + size]))
+            for row in measure(plant, batch).rows:
                 assert repr(row) == repr(together[row.f_hz])  # repr: NaN equals itself, and no bit is lost
 
 
@@ -188,8 +187,8 @@ def test_the_rows_come_in_the_order_of_the_batch():
     plant = RLBranch()
     plan = planned(plant)
     (batch,) = plan.batches()
-    reverse = replace(batch, points=batch.points[::-1])
-    assert [row.f_hz for row in measure(plant, plan, reverse).rows] == [point.f_hz for point in reverse.points]
+    reverse = plan.batch(batch.condition, batch.points[::-1])
+    assert [row.f_hz for row in measure(plant, reverse).rows] == [point.f_hz for point in reverse.points]
 
 
 def test_a_steady_state_found_at_any_time_is_as_good():
@@ -204,6 +203,6 @@ def test_a_steady_state_found_at_any_time_is_as_good():
 def test_the_steady_state_is_seen_and_kept():
     plant = ReferenceTurbine()
     plan = planned(plant, source={"kind": "thevenin", "r_ohm": 0.012, "x_ohm": 0.25})
-    seen = measure(plant, plan, next(iter(plan.batches()))).condition
+    seen = measure(plant, next(iter(plan.batches()))).condition
     assert seen["voltage_v"] == pytest.approx(690.0, rel=1e-9)
     assert 0.0 <= seen["settle_residual"] <= 1e-9

@@ -90,7 +90,7 @@ def test_the_strictest_batch_speaks_for_the_operating_point():
     plan = planned(plant, f_hz=[2.0, 20.0, 70.0, 130.0, 300.0, 501.5])
     batches = list(plan.batches())
     assert len(batches) > 1
-    rows = [row for batch in batches for row in measure(plant, plan, batch).rows]
+    rows = [row for batch in batches for row in measure(plant, batch).rows]
     fact = stable_on(plan, plan.conditions[0], rows)
     assert fact["growth_bound_per_s"] == min(row.growth_bound_per_s for row in rows)
 

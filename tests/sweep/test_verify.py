@@ -15,7 +15,7 @@ from seqsweep.identify.table.read import read_table
 from seqsweep.plant.damping.events import Fault, GridStep, PowerStep, TurbineStep, WindStep
 from seqsweep.sweep.cli import main as cli
 from seqsweep.sweep.config.sections import Config
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run import campaign
 from seqsweep.sweep.verify.figure import plot, resonance_current, verification_figure
 from seqsweep.sweep.verify.report import SCHEMA_FILE, format_report, to_json
