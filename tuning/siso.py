@@ -91,7 +91,7 @@ def siso_of_response(response: FrequencyResponse, grid: Grid) -> Siso:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the response is not in the pn frame, or its fundamental is not the grid's.
     """
     if response.frame != "pn":

@@ -127,7 +127,7 @@ class LaneDriven(ABC):
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the state's source is ideal, or the conditions hold a fault or a wind.
         """
         self._refuse_impossible(state, conditions)

@@ -66,7 +66,7 @@ def terminal_voltage(power: complex, z: complex, source: float) -> float:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the grid cannot carry the power.
 
     Notes

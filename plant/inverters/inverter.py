@@ -73,7 +73,7 @@ class Inverter(LaneDriven):
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If a parameter is unknown or out of its range.
     """
 
@@ -144,7 +144,7 @@ class Inverter(LaneDriven):
 
         Raises
         ------
-        ValueError
+        SeqsweepError
             If the operating point is outside `operating_range`, or says |v_pcc| twice or not at all.
         NotSettled
             If there is no equilibrium ("not_settled") or it is unstable ("diverged").

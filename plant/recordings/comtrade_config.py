@@ -10,6 +10,7 @@ import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ..errors import SeqsweepError
 from .recording import RecordingError
 
 ANALOG_CELLS = {1991: 10, 1999: 13, 2013: 13}
@@ -118,5 +119,5 @@ class _Lines:
 def _finite(parse: Callable[[str], float], cell: str) -> float:
     value = parse(cell)
     if not abs(value) < 1e300:
-        raise ValueError(cell)
+        raise SeqsweepError(cell)
     return value

@@ -207,7 +207,7 @@ def impedance_pn(grid: Grid, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If the grid couples the two: it then is a matrix.
     """
     if not isinstance(grid, OnePort):

@@ -28,7 +28,7 @@ class SeriesRL(OnePort):
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If R is negative, or X or f1 is not positive.
     """
 
