@@ -39,6 +39,7 @@ from ..states.steady_state import Clock, Patience
 from ..states.stores import Replays, Snapshots
 from .archive import sha256_of
 from .instance import Instance, Model, unpacked, warm
+from .units import scale_of
 from .variables import (
     Contents,
     FmuError,
@@ -131,10 +132,10 @@ def fmu_plant(
     current: Sequence[str],
     f1_hz: float = 50.0,
     current_direction: SourceDirection = "load",
-    voltage_unit_v: float = 1.0,
-    current_unit_a: float = 1.0,
+    voltage_unit_v: float | None = None,
+    current_unit_a: float | None = None,
     active_power: str | None = None,
-    active_power_unit_w: float = 1.0,
+    active_power_unit_w: float | None = None,
     start: Mapping[str, Any] | None = None,
     active_power_w: Sequence[float] = (-inf, inf),
     terminal_voltage_pu: Sequence[float] = (0.5, 1.5),
@@ -159,8 +160,8 @@ def fmu_plant(
         Inputs and outputs: alpha and beta, or the three phases.
     current_direction : "load" or "generator"
         Whether the FMU's current is positive into the device or out of it.
-    voltage_unit_v, current_unit_a, active_power_unit_w : float
-        What 1 of the variable means (V, A, W).
+    voltage_unit_v, current_unit_a, active_power_unit_w : float, optional
+        What 1 of the variable means (V, A, W); None: as the FMU declares, 1 where it declares no unit.
     active_power : str, optional
         A variable that is set to the operating point's active power before the start.
     start : mapping, optional
@@ -190,6 +191,8 @@ def fmu_plant(
         "active_power_unit_w": active_power_unit_w,
     }
     for name, value in sizes.items():
+        if value is None:
+            continue
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < inf:
             raise FmuError(f"{name} is {value!r}; needed: a finite number above 0")
     _one_of("current_direction", current_direction, ("load", "generator"))
@@ -201,11 +204,11 @@ def fmu_plant(
     terminals = Terminals(
         sum(map(width_of, inputs)),
         sum(map(width_of, outputs)),
-        voltage_unit_v,
-        current_unit_a,
+        scale_of(contents, "voltage", "voltage", inputs, voltage_unit_v),
+        scale_of(contents, "current", "current", outputs, current_unit_a),
         current_direction,
         None if power is None else setting("active_power", power, 0.0),
-        active_power_unit_w,
+        scale_of(contents, "active_power", "power", [] if power is None else [power], active_power_unit_w),
     )
     low, high = terminal_voltage_pu
     lowest_w, highest_w = active_power_w

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import prod
+from math import inf, prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -139,6 +139,8 @@ def find_settable(contents: Contents, key: str, name: str) -> Any:
         If there is no such variable, or it cannot.
     """
     variable = _known(contents, key, name, "")
+    if variable.variability == "constant":
+        raise FmuError(f"{key}: variable {name!r} of {contents.path} is a constant: no campaign can set it")
     if not is_settable(variable):
         raise FmuError(f"{key}: variable {name!r} of {contents.path}, {variable.causality}, cannot be set at the start")
     return variable
@@ -153,6 +155,8 @@ def find_power(contents: Contents, name: str) -> Any:
 
 def is_settable(variable: Any) -> bool:
     """Whether the standard lets a variable be set before initialization."""
+    if variable.variability == "constant":
+        return False
     return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
@@ -162,14 +166,38 @@ def setting(key: str, variable: Any, value: Any) -> Setting:
     Raises
     ------
     FmuError
-        If the variable is of another type, or of another width.
+        If the variable is of another type or width, or a value is out of its range or none of its items.
     """
     values = tuple(value) if isinstance(value, list | tuple) else (value,)
     if not all(_fits(variable.type, one) for one in values):
         raise FmuError(f"{key}: variable {variable.name!r} is a {variable.type}; given {value!r}")
     if len(values) != width_of(variable):
         raise FmuError(f"{key}: variable {variable.name!r} has {width_of(variable)} values; given {value!r}")
+    for one in values:
+        _refuse_out_of_range(key, variable, one)
     return Setting(variable.type, variable.valueReference, values)
+
+
+def _refuse_out_of_range(key: str, variable: Any, value: Any) -> None:
+    """Refuse what the description rules out: an item that is not there, a number beyond its bounds."""
+    if isinstance(value, bool | str):
+        return
+    items = getattr(variable.declaredType, "items", None) or []
+    if variable.type == "Enumeration" and items and str(value) not in {item.value for item in items}:
+        known = ", ".join(f"{item.value} ({item.name})" for item in items)
+        raise FmuError(f"{key}: variable {variable.name!r} has the items {known}; given {value!r}")
+    low, high = (_bound(variable, name) for name in ("min", "max"))
+    if not low <= value <= high:
+        raise FmuError(f"{key}: variable {variable.name!r} lies between {low:g} and {high:g}; given {value!r}")
+
+
+def _bound(variable: Any, name: str) -> float:
+    """The least or largest value of a variable, or of its declared type."""
+    said = getattr(variable, name, None) or getattr(variable.declaredType, name, None)
+    try:
+        return float(said)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return -inf if name == "min" else inf
 
 
 def laid_out(contents: Contents, variables: Sequence[Any]) -> tuple[tuple[Group, ...], dict[str, Cells]]:
