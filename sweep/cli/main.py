@@ -22,6 +22,7 @@ from ...plant.errors import SeqsweepError
 from . import decide as cli_decide
 from . import faults
 from . import files as cli_files
+from . import metrics as cli_metrics
 from . import region as cli_region
 from . import sweep as cli_sweep
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
@@ -52,6 +53,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "verify": cli_decide.verify,
     "grid": cli_decide.grid,
     "surrogate": cli_region.surrogate,
+    "metrics": cli_metrics.metrics,
     "check": cli_sweep.check,
     "identify": cli_files.identify,
     "inject": cli_files.inject_command,

@@ -1,0 +1,54 @@
+"""`seqsweep metrics`: what operators read from a scan, from a table alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .shared import Force, TableFile, check_outputs
+
+if TYPE_CHECKING:
+    from ...identify.table.read import Table
+    from ...tuning.metrics import Metrics
+
+
+def metrics(
+    table: TableFile,
+    behind: Annotated[
+        str | None, typer.Option(metavar="R+jX", help="Look from the source behind this grid, in ohm at f1.")
+    ] = None,
+    op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="METRICS.json", help="Write JSON.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Jacobian, frequency perturbation, passivity: .png, .svg, .pdf.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """How P and Q answer to the grid: Jacobian, frequency perturbation, swing fit, stiffness, passivity."""
+    from ...identify.table.read import read_table
+    from ...tuning.metrics_report import format_report, write_json
+
+    check_outputs(output, force, plot)
+    content = read_table(table)
+    found = _of_table(content, behind, op)
+    typer.echo("\n\n".join(format_report(each) for each in found))
+    if output is not None:
+        write_json(found, content.meta, output)
+    if plot is not None:
+        from ...tuning.metrics_figure import plot_metrics
+
+        plot_metrics(found[0], plot)
+
+
+def _of_table(content: Table, behind: str | None, op: list[str] | None) -> list[Metrics]:
+    """The metrics of the chosen operating points, or of all."""
+    from ...tuning.metrics import metrics as metrics_of
+    from ...tuning.siso import parse_grid
+
+    grid = None if behind is None else parse_grid(behind, content.meta["f1_hz"], 1.0)
+    bases = content.meta["bases"]
+    rating = bases["rated_voltage_v"], bases["rated_power_va"]
+    chosen = content.responses if not op else [content.response(op_id) for op_id in op]
+    return [metrics_of(response, rating, grid) for response in chosen]
