@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identify.surrogate.surrogate import AXES, Surrogate
+from ..plant.errors import SeqsweepError
 from .result import PointTuning
 from .siso import Grid, siso
 from .tune import tune_point
@@ -71,7 +72,7 @@ def worst_point(
 
     Raises
     ------
-    ValueError
+    SeqsweepError
         If no point of the region is admissible on this grid.
     """
     points = surrogate.region.samples(COARSE)
@@ -83,7 +84,7 @@ def worst_point(
     points = place(points)
     points = points[surrogate.region.holds(points)]
     if len(points) == 0:
-        raise ValueError("no operating point of the swept region exists on this grid: its |v_pcc| would leave it")
+        raise SeqsweepError("no operating point of the swept region exists on this grid: its |v_pcc| would leave it")
     margin = margins_of(surrogate, grid, points)
     starts = points[np.argsort(margin, kind="stable")[:REFINED]]
     refined = [_refine(surrogate, grid, start, place) for start in starts]
