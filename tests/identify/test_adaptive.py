@@ -26,7 +26,7 @@ from seqsweep.sweep.excitation.adaptive_rounds import Adaptive, first_round, nex
 from seqsweep.sweep.excitation.frequencies import GridError, coherent_block
 from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.report.summary import summary
-from seqsweep.sweep.run import campaign, shards
+from seqsweep.sweep.run import host, shards
 from seqsweep.sweep.run.campaign import RunError, run
 
 from ..support import oracle
@@ -306,8 +306,8 @@ def test_an_interrupted_run_asks_the_same_questions(tmp_path, two_points, monkey
     kept = {path.name for path in shards_of(output)}
     n_points = sum(len(shards.read(shards.folder_of(output), key).rows) for key in kept)
     measured_now = []
-    real = campaign.measure
-    monkeypatch.setattr(campaign, "measure", lambda p, q, batch: measured_now.append(batch.key) or real(p, q, batch))
+    real = host.measure
+    monkeypatch.setattr(host, "measure", lambda plant, batch: measured_now.append(batch.key) or real(plant, batch))
     run(plan, plant, output, jobs=2, backend="threading", say=said.append)
     assert said == [f"going on: {n_points} points are measured already"]  # how many follow, the rounds decide
     assert len(kept) >= n_shards

@@ -17,7 +17,7 @@ from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure import loadflow
 from seqsweep.sweep.plan import Grid
 from seqsweep.sweep.planning import make_plan
-from seqsweep.sweep.run import campaign, shards
+from seqsweep.sweep.run import host, shards
 from seqsweep.sweep.run.campaign import RunError, run
 
 from ..support import oracle
@@ -58,13 +58,13 @@ def undisturbed(tmp_path_factory):
 def counted(monkeypatch):
     """Keys of the batches that are measured in this process."""
     keys = []
-    real = campaign.measure
+    real = host.measure
 
-    def counting(plant, plan, batch):
+    def counting(plant, batch):
         keys.append(batch.key)
-        return real(plant, plan, batch)
+        return real(plant, batch)
 
-    monkeypatch.setattr(campaign, "measure", counting)
+    monkeypatch.setattr(host, "measure", counting)
     return keys
 
 
@@ -229,7 +229,7 @@ def test_a_run_that_only_lacks_its_table_says_that_nothing_is_left_to_measure(le
     plan, plant, output, _ = left_behind
     said = []
     for batch in plan.batches():
-        shards.write(shards.folder_of(output), batch.key, campaign.measure(plant, batch))
+        shards.write(shards.folder_of(output), batch.key, host.measure(plant, batch))
     counted.clear()
     run(plan, plant, output, jobs=1, backend="threading", say=said.append)
     total = sum(len(batch.points) for batch in plan.batches())
