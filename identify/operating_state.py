@@ -48,6 +48,27 @@ def fundamental_facts(v1: complex, i1: complex) -> dict[str, float]:
     }
 
 
+def stable_on_text(fact: Mapping[str, Any]) -> str:
+    """The fact ``stable_on`` in words."""
+    grid = fact["grid"]
+    where = "an ideal source" if grid == "ideal" else f"{grid['r_ohm']:.4g} + j{grid['x_ohm']:.4g} ohm"
+    if "growth_bound_per_s" not in fact:
+        return f"{where}, as stated"
+    runs = {"shots": "shot", "recordings": "record"}.get(fact["basis"], "run")
+    return (
+        f"{where}: a mode growing faster than {fact['growth_bound_per_s']:.2g} 1/s would have shown "
+        f"in a {runs} of {fact['disturbed_s']:.3g} s"
+    )
+
+
+def fundamental_text(facts: Mapping[str, float]) -> str:
+    """The fundamental at the PCC in words; powers out of the device, as an operating point is given."""
+    power_mw, reactive_mvar = (
+        0.0 - facts[key] / 1e6 for key in ("active_power_into_device_w", "reactive_power_into_device_var")
+    )
+    return f"{power_mw:.4g} MW and {reactive_mvar:.3g} Mvar out of the device at the PCC, {facts['current_a']:.4g} A"
+
+
 def with_statement(response: FrequencyResponse, fact: Mapping[str, Any]) -> FrequencyResponse:
     """The response with another ``stable_on``; one that was proven on the same source stays, for it says more."""
     known = response.meta.get("stable_on")

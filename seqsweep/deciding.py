@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from .identify.response import FrequencyResponse
 from .identify.table.read import Table
@@ -17,7 +17,7 @@ from .sweep.verify.runs import Verification
 from .sweep.verify.scenario import Story, read_story, story_of
 from .tables import as_table
 from .tuning.result import TuningResult, to_json
-from .tuning.siso import parse_grid
+from .tuning.siso import Grid, parse_grid
 from .tuning.tune import tune as tuned
 
 
@@ -65,7 +65,7 @@ def tune(
     """
     table = _without(_stated(as_table(y), stable_on), exclude)
     f1_hz = table.responses[0].f1_hz if table.responses else 50.0
-    on = "own" if grid == "own" else parse_grid(str(grid).strip("()"), f1_hz)
+    on: Grid | Literal["own"] = "own" if grid == "own" else parse_grid(str(grid).strip("()"), f1_hz)
     scales = tuple(scale) if isinstance(scale, Sequence) else (scale,)
     result = tuned(table, on, margin=margin, scales=scales)
     if not confirm:

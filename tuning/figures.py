@@ -30,7 +30,7 @@ from ..identify.views.style import (
 )
 from ..plant.errors import SeqsweepError
 from .intervals import relative_error_of_y1
-from .result import PointTuning, TuningResult
+from .result import PointTuning, TuningResult, mode_with_k
 from .siso import Grid, impedance_dq, siso
 from .text import with_doubt
 
@@ -264,7 +264,7 @@ def _mark_crossings(magnitude: Axes, phase: Axes, point: PointTuning, number: in
     """Crossings as circles, full where |Y| > |Yg|; what they are worth stands in the title."""
     assert point.stability is not None
     critical = point.stability.critical
-    words = []
+    words: list[str] = []
     for crossing in (c for c in point.stability.crossings if c.component == number):
         style: dict[str, Any] = {"marker": "o", "markersize": 5, "color": WARNING, "linestyle": "none"}
         phase.plot([crossing.f_hz], [180.0], fillstyle="full" if crossing.m < 1.0 else "none", zorder=4, **style)
@@ -433,23 +433,26 @@ def _draw_entry(axes: Axes, entry: _Drawn, colour: str) -> None:
         ecolor=colour, elinewidth=0.7,
     )  # fmt: skip
     axes.plot(real, nu, linestyle="none", marker="x", markersize=5, color=colour)
-    _mark_mode(axes, point, _name(point), {"marker": "o", "color": colour})
+    _mark_mode(axes, point, _name(point), {"marker": "o", "color": colour}, loop.critical)
     if point.with_k is not None and point.with_k.stability is not None:
-        _mark_mode(axes, point.with_k, f"with k = {point.k:.3g}", {"marker": "D", "color": _WITH_K})
+        with_k = point.with_k.stability.closed_loop
+        near = ~with_k.beyond
+        axes.plot(with_k.poles.real[near], with_k.f_hz[near], "+", markersize=5, color=_WITH_K)
+        name = f"{_name(point)} with k = {point.k:.3g}"
+        _mark_mode(axes, point.with_k, name, {"marker": "D", "color": _WITH_K}, mode_with_k(point))
 
 
-def _mark_mode(axes: Axes, point: PointTuning, name: str, style: dict[str, Any]) -> None:
-    """A ring around the mode that decides, and what there is to know of it in the legend."""
+def _mark_mode(axes: Axes, point: PointTuning, name: str, style: dict[str, Any], mode: int | None) -> None:
+    """A ring around a mode, and what there is to know of it in the legend."""
     assert point.stability is not None
     loop = point.stability.closed_loop
     ring: dict[str, Any] = {"linestyle": "none", "markersize": 9, "fillstyle": "none", **style}
-    if loop.critical is None:
+    if mode is None:
         axes.plot([], [], label=escaped(f"{name}: {point.verdict}, no resonance"), **ring)
         return
-    pole, nu = complex(loop.poles[loop.critical]), float(loop.f_hz[loop.critical])
+    pole, nu = complex(loop.poles[mode]), float(loop.f_hz[mode])
     numbers = (
-        f"{point.verdict}, {pole.real:+.3g} rad/s at $f_1 \\pm$ {nu:.2f} Hz, damping "
-        f"{100.0 * loop.damping[loop.critical]:.1f} %"
+        f"{point.verdict}, {pole.real:+.3g} rad/s at $f_1 \\pm$ {nu:.2f} Hz, damping {100.0 * loop.damping[mode]:.1f} %"
     )
     gap = " " if len(name) <= _NAME_LENGTH else "\n"
     text = f"{escaped(name)}:{gap}{numbers}".replace("-", "\N{MINUS SIGN}")

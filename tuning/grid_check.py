@@ -20,7 +20,10 @@ PLAUSIBLE_SCR = (0.3, 1000.0)
 """Short-circuit ratios of grids that somebody connects a converter to."""
 
 SOURCE_TOLERANCE_PU = 0.07
-"""The device's reactive power is not in the table: that much of source voltage is left open (pu)."""
+"""Where a table does not tell the device's reactive power: that much of source voltage is left open (pu)."""
+
+MEASURED_TOLERANCE_PU = 0.03
+"""Where it does: so far from one the source voltage is worth a word (pu)."""
 
 
 def grid_warnings(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
@@ -52,23 +55,36 @@ def _implausible(bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
 
 def _source(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     """The source voltage that |v_pcc| of the table would take, where it is far from one."""
-    voltage_pu, power_mw = point.get("terminal_voltage_pu"), point.get("active_power_mw")
-    rated_v = bases.get("rated_voltage_v")
-    if not (voltage_pu and rated_v) or power_mw is None:
+    voltage_pu, rated_v = point.get("terminal_voltage_pu"), bases.get("rated_voltage_v")
+    if not (voltage_pu and rated_v):
         return ()
-    source_pu = source_voltage_v(power_mw * 1e6, voltage_pu * rated_v, grid) / rated_v
-    if abs(source_pu - 1.0) <= SOURCE_TOLERANCE_PU:
+    power_va, tolerance_pu = _power_out(point)
+    if power_va is None:
         return ()
+    source_pu = source_voltage_v(power_va, voltage_pu * rated_v, grid) / rated_v
+    if abs(source_pu - 1.0) <= tolerance_pu:
+        return ()
+    neglected = "" if tolerance_pu == MEASURED_TOLERANCE_PU else " (reactive power neglected)"
     return (
         f"the table was swept at |v_pcc| = {voltage_pu:.4g} pu; on this grid that takes a source of about "
-        f"{source_pu:.3g} pu (reactive power neglected). If the source is at 1 pu, sweep at the voltage that belongs "
+        f"{source_pu:.3g} pu{neglected}. If the source is at 1 pu, sweep at the voltage that belongs "
         "to it: grid = { r_ohm, x_ohm, voltage_pu } in the operating point",
     )
 
 
-def source_voltage_v(power_w: float, terminal_voltage_v: float, grid: Grid) -> float:
-    """|v_g| (V) behind the grid for an active power out of the device (W) at |v_pcc| (V), without reactive power."""
-    current = power_w / terminal_voltage_v
+def _power_out(point: Mapping[str, Any]) -> tuple[complex | None, float]:
+    """Power out of the device (VA), measured or asked for, and from which difference (pu) on a source is told."""
+    measured = point.get("fundamental")
+    if measured is not None:
+        into = complex(measured["active_power_into_device_w"], measured["reactive_power_into_device_var"])
+        return -into, MEASURED_TOLERANCE_PU
+    power_mw = point.get("active_power_mw")
+    return None if power_mw is None else power_mw * 1e6, SOURCE_TOLERANCE_PU
+
+
+def source_voltage_v(power_va: complex, terminal_voltage_v: float, grid: Grid) -> float:
+    """|v_g| (V) behind the grid for a complex power out of the device (VA) at |v_pcc| (V, line-to-line RMS)."""
+    current = np.conj(power_va) / terminal_voltage_v
     return float(np.abs(terminal_voltage_v - grid.at_f1 * current))
 
 

@@ -212,6 +212,21 @@ def confirmed(
     return replace(result, points=tuple(settled if p is point else p for p in result.points))
 
 
+def mode_with_k(point: PointTuning) -> int | None:
+    """Index of the resonance in the closed loop with damping: the mode nearest to what it was without.
+
+    Its least damped mode need not be it: the notch of the damping control has one of its own at 2 f1.
+    """
+    if point.with_k is None or point.with_k.stability is None or point.stability is None:
+        return None
+    before, after = point.stability.closed_loop, point.with_k.stability.closed_loop
+    if before.critical is None:
+        return after.critical
+    apart = np.abs(after.poles - before.poles[before.critical])
+    apart = np.where(after.beyond | (after.poles.imag <= 0.0), np.inf, apart)
+    return int(np.argmin(apart)) if np.any(np.isfinite(apart)) else None
+
+
 def _need(point: PointTuning) -> tuple[int, float]:
     order = ("unstable", "undecided", "stable")
     return order.index(point.verdict), np.inf if point.margin_m is None else point.margin_m

@@ -9,7 +9,7 @@ from math import floor, log10
 
 from ..identify.uncertainty import NORMAL_95
 from .intervals import Interval
-from .result import PointTuning, TuningResult
+from .result import PointTuning, TuningResult, mode_with_k
 
 CERTAIN = 0.999
 """A verdict with this probability, or as improbable as the rest, is called certain."""
@@ -138,7 +138,7 @@ def _remarks(result: TuningResult) -> Iterable[tuple[str, str]]:
         name = f"{point.op_id} x{point.scale:g}" if several else point.op_id
         reason = "" if point.verdict == "stable" else f"{point.verdict}, {point.reason}"
         note = "" if point.stability is None else point.stability.bode_note
-        for text in (reason, note, *point.warnings, *_dashes(point)):
+        for text in (reason, note, *point.warnings, *_dashes(point), *_with_k(point)):
             if text:
                 yield name, text
 
@@ -150,6 +150,22 @@ def _dashes(point: PointTuning) -> Iterable[str]:
             "no resonance: no oscillating mode inside the swept band is carried by the data, so that there is nothing "
             "to set damping control to (k: -)"
         )
+
+
+def _with_k(point: PointTuning) -> Iterable[str]:
+    """What becomes of the resonance with damping control in place."""
+    mode = mode_with_k(point)
+    if point.with_k is None:
+        return
+    if mode is None or point.with_k.stability is None:
+        yield f"with k = {point.k:.3f} in place: {point.with_k.verdict}, {point.with_k.reason}"
+        return
+    loop = point.with_k.stability.closed_loop
+    below, above = loop.f1_hz - loop.f_hz[mode], loop.f1_hz + loop.f_hz[mode]
+    yield (
+        f"with k = {point.k:.3f} in place: {point.with_k.verdict}; the resonance is at {below:.2f}/{above:.2f} Hz, "
+        f"{loop.poles[mode].real:+.3g} rad/s, damping {100.0 * loop.damping[mode]:.1f} %"
+    )
 
 
 def grouped(remarks: Iterable[tuple[str, str]]) -> list[str]:

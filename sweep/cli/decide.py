@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -26,6 +26,7 @@ from .shared import (
 
 if TYPE_CHECKING:
     from ...identify.table.read import Table
+    from ...tuning.siso import Grid
 
 
 def tune(
@@ -61,7 +62,7 @@ def tune(
     check_outputs(output, force, plot)
     scales = _scales(scale)
     content = _as_told(read_table(table), stable_on, exclude or ())
-    on = "own" if grid.strip().lower() == "own" else parse_grid(grid, content.meta["f1_hz"])
+    on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else parse_grid(grid, content.meta["f1_hz"])
     result = judge(content, on, margin=margin, op_ids=op, scales=scales)
     if confirm:
         from ..confirm import confirm as confirm_gain

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ...identify.operating_state import fundamental_text, stable_on_text
 from ...identify.response import STATUSES, FrequencyResponse
 from ...identify.table.read import iter_responses, read_metadata
 from ...identify.uncertainty import relative_uncertainty
@@ -54,6 +55,8 @@ class PointFacts:
     cond_v: Worst | None
     settle_residual: float | None
     interpolation: str | None
+    fundamental: str | None
+    stable_on: str | None
 
     @property
     def points(self) -> int:
@@ -123,6 +126,8 @@ def point_facts(response: FrequencyResponse) -> PointFacts:
         cond_v=_worst(response, "cond_v"),
         settle_residual=meta.get("settle_residual"),
         interpolation=_interpolation(response),
+        fundamental=fundamental_text(meta["fundamental"]) if "fundamental" in meta else None,
+        stable_on=stable_on_text(meta["stable_on"]) if "stable_on" in meta else None,
     )
 
 
@@ -239,6 +244,12 @@ def _block(point: PointFacts) -> Iterator[tuple[str, str]]:
         yield "  settled", f"to {point.settle_residual:.2g} over a period"
     if point.interpolation is not None:
         yield "  adaptive", point.interpolation
+    if point.fundamental is not None:
+        yield "  at f1", point.fundamental
+    yield "  stable", f"on {point.stable_on}" if point.stable_on is not None else _NOT_KNOWN
+
+
+_NOT_KNOWN = "not known where (tune --stable-on states it)"
 
 
 def _blocks(facts: Sequence[PointFacts]) -> list[RenderableType]:
@@ -261,6 +272,8 @@ def _overview(facts: Sequence[PointFacts], width: int) -> list[RenderableType]:
     if adaptive := [point for point in facts if point.interpolation is not None]:
         certified = sum("not certified" not in str(point.interpolation) for point in adaptive)
         sums.append(("adaptive", f"interpolation certified for {certified} of {len(adaptive)} operating points"))
+    known = [point for point in facts if point.stable_on is not None]
+    sums.append(("stable", f"known for {len(known)} of {len(facts)} operating points" if known else _NOT_KNOWN))
     listed = list(facts)
     parts: list[RenderableType] = [_pairs(sums), ""]
     if len(facts) > LISTED_UP_TO:

@@ -14,8 +14,10 @@ from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.measure.measure import measure
 from seqsweep.sweep.measure.proof import stable_on
 from seqsweep.sweep.run.campaign import run
+from seqsweep.tuning.grid_check import source_voltage_v
+from seqsweep.tuning.siso import SeriesRL
 
-from ..support import plants
+from ..support import oracle, plants
 from ..support.commands import call
 from ..support.sweeps import planned, rows_of
 
@@ -93,6 +95,18 @@ def test_the_strictest_batch_speaks_for_the_operating_point():
     rows = [row for batch in batches for row in measure(plant, batch).rows]
     fact = stable_on(plan, plan.conditions[0], rows)
     assert fact["growth_bound_per_s"] == min(row.growth_bound_per_s for row in rows)
+
+
+@pytest.mark.parametrize("power_w", [0.2e6, 0.65e6, 1.3e6])
+def test_measured_p_and_q_give_the_source_voltage_of_the_load_flow(power_w):
+    """Outside truth: the exact equilibrium's source voltage, the shunt's reactive power included."""
+    plant = ReferenceTurbine()
+    plan = planned(plant, f_hz=[130.0], point={"active_power_mw": power_w / 1e6, "terminal_voltage_pu": 1.0})
+    seen = measure(plant, plan, next(iter(plan.batches()))).condition
+    into = complex(seen["active_power_into_device_w"], seen["reactive_power_into_device_var"])
+    grid = SeriesRL(0.012, 0.25, 50.0)
+    exact = oracle.source_voltage(power_w, 690.0, grid.r_ohm, grid.l_h)
+    assert source_voltage_v(-into, seen["voltage_v"], grid) == pytest.approx(abs(exact), rel=1e-4)
 
 
 # Statements
