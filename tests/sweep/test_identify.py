@@ -122,6 +122,24 @@ def test_with_a_manifest_the_rows_are_those_it_asks_for_in_its_bases(tmp_path):
     assert meta["plant"]["source_direction"] == "generator"
 
 
+def test_steady_records_prove_the_device_stable_on_the_grid_they_were_taken_on(tmp_path):
+    (tmp_path / "records").mkdir()
+    write(tmp_path / "records", length_s=3.0)
+    response, _ = identified(tmp_path, tmp_path / "records", "--direction", "load", "--stable-on", "0.02+0.1j")
+    fact = response.meta["stable_on"]
+    assert (fact["grid"], fact["basis"]) == ({"r_ohm": 0.02, "x_ohm": 0.1}, "recordings")
+    assert 0.0 < fact["growth_bound_per_s"] < 15.0  # of records of 3 s
+    assert 1.0 < fact["disturbed_s"] <= 3.0
+    found = response.meta["fundamental"]
+    expected = -1e6 * response.meta["active_power_mw"]
+    assert found["active_power_into_device_w"] == pytest.approx(expected, rel=1e-6)
+    assert found["voltage_v"] == pytest.approx(
+        response.meta["terminal_voltage_pu"] * read_table(tmp_path / "y.parquet").meta["bases"]["rated_voltage_v"]
+    )
+    response, _ = identified(tmp_path, tmp_path / "records", "--direction", "load")
+    assert "stable_on" not in response.meta  # which grid it was nobody said
+
+
 def test_recordings_are_matched_by_name_then_by_order(tmp_path):
     told = write(tmp_path, POINTS[:1])
     (tmp_path / "scope.cfg").write_bytes((tmp_path / "shot_001.cfg").read_bytes())

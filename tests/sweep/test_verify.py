@@ -22,7 +22,8 @@ from seqsweep.sweep.verify.report import SCHEMA_FILE, format_report, to_json
 from seqsweep.sweep.verify.runs import cause_gone_of, compare, has_equilibrium, verify
 from seqsweep.sweep.verify.scenario import ScenarioError, Story, read_story
 from seqsweep.sweep.verify.tuned import VerifyError, read_tuning, scenario_of, settings_of, tuned_of
-from seqsweep.tuning.result import write_json
+from seqsweep.tuning.result import schema, write_json
+from seqsweep.tuning.result import to_json as tuning_json
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
 
@@ -206,6 +207,38 @@ def test_tuning_that_cannot_be_verified_ends_with_two_and_a_reason(
 def test_unknown_operating_point_is_refused_with_the_known_ones(folder):
     with pytest.raises(VerifyError, match=r"no operating point 'nope' in the tuning; it has weak, held"):
         tuned_of(read_tuning(folder / "tuning.json"), "nope")
+
+
+def test_a_tuning_at_several_scales_is_verified_at_the_one_that_is_asked(folder):
+    content = tuning_json(tune(read_table(folder / "y.parquet"), GRID, scales=(0.8, 1.0)))
+    jsonschema.validate(content, schema())
+    tuned = tuned_of(content, "held", scale=0.8)
+    assert (tuned.grid.r_ohm, tuned.grid.x_ohm) == pytest.approx((0.8 * GRID.r_ohm, 0.8 * GRID.x_ohm))
+    entry = next(p for p in content["operating_points"] if (p["op_id"], p["scale"]) == ("held", 0.8))
+    assert tuned.k == entry["k"]
+    worst = tuned_of(content)
+    assert worst.op_id == content["worst"]
+    assert worst.grid.x_ohm == pytest.approx(content["worst_scale"] * GRID.x_ohm)
+    other = next(name for name in ("weak", "held") if name != content["worst"])
+    with pytest.raises(VerifyError, match=r"at which of its scales\? It was tuned at 0\.8, 1 \(--scale X\)"):
+        tuned_of(content, other)
+    with pytest.raises(VerifyError, match=r"there is no scale 2\. It was tuned at 0\.8, 1"):
+        tuned_of(content, "held", scale=2.0)
+
+
+def test_a_tuning_of_version_1_1_is_still_read(folder):
+    """Before 1.2 the grid stood in the provenance alone, and entries had no scale."""
+    content = json.loads((folder / "tuning.json").read_text())
+    content["version"] = "1.1.0"
+    for point in content["operating_points"]:
+        for key in ("scale", "grid", "margin_met", "k_basis", "with_k", "missing"):
+            del point[key]
+    del content["worst_scale"]
+    jsonschema.validate(content, schema())
+    assert tuned_of(content, "weak").grid.x_ohm == pytest.approx(GRID.x_ohm)
+    content["version"] = "1.2.0"
+    with pytest.raises(jsonschema.ValidationError, match="'scale' is a required property"):
+        jsonschema.validate(content, schema())
 
 
 def test_scenario_file_knows_every_event(tmp_path):
