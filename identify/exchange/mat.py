@@ -108,7 +108,7 @@ def read_mat(path: str | Path, given: Facts) -> Found:
         If it is no such file, inflates beyond bounds, or the matrix, its frequencies or a fact is missing.
     """
     check_file(path)
-    variables = _flattened(_variables(path))
+    variables = _flattened(variables_of(path))
     objects = {name: value for name, value in variables.items() if hasattr(value, "properties")}
     chosen = given.get("variable")
     matrices = {name: value for name, value in variables.items() if _is_matrix(value)}
@@ -258,7 +258,7 @@ def _texts(path: str | Path, cells: Any, n: int) -> np.ndarray | None:
 # Files
 
 
-def _variables(path: str | Path) -> dict[str, Any]:
+def variables_of(path: str | Path) -> dict[str, Any]:
     """Variables by name; objects keep their ``properties``."""
     from scipy.io import loadmat
 

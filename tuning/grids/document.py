@@ -28,7 +28,7 @@ from ..network.equipment import (
 from .errors import GridError
 
 PCC, SOURCE = "pcc", "source"
-TOP_KEYS = ("f1_hz", "voltage_kv", "name", "element")
+TOP_KEYS = ("f1_hz", "voltage_kv", "rated_power_mw", "name", "element")
 COMMON_KEYS = ("kind", "name", "from", "to", "at", "in_service")
 
 
@@ -76,7 +76,7 @@ def network_of(document: Mapping[str, Any], f1_hz: float) -> Network:
     elements = elements_of(document, f1_hz)
     w1 = 2.0 * pi * f1_hz
     levels = _levels(elements, document.get("voltage_kv"))
-    x_lines = {level: _x_of_lines(elements, levels, level, w1) for level in set(levels.values())}
+    x_lines = {level: _x_of_lines(elements, levels, level, w1) for level in {None, *levels.values()}}
     branches: list[Branch] = []
     lines: list[Line] = []
     for element in elements:
@@ -93,7 +93,7 @@ def network_of(document: Mapping[str, Any], f1_hz: float) -> Network:
 def elements_of(document: Mapping[str, Any], f1_hz: float) -> tuple[Element, ...]:
     """The elements in service, with names and nodes."""
     _check_top(document, f1_hz)
-    given = [entry for entry in document["element"] if entry.get("in_service", True)]
+    given = in_service(document)
     if not given:
         raise GridError("every element is out of service: there is no grid left")
     counts: dict[str, int] = {}
@@ -105,9 +105,18 @@ def elements_of(document: Mapping[str, Any], f1_hz: float) -> tuple[Element, ...
         name = str(entry.get("name", f"{entry['kind']}{counts[entry['kind']]}"))
         last = not series_ones or k >= series_ones[-1]
         a, b, node = _nodes(entry, kind, node, k, last)
-        elements.append(Element(name, entry["kind"], _numbers(entry, kind, name), a, b))
+        values = _numbers(entry, kind, name)
+        if "scr" in values and "rated_power_mw" in document:
+            values["rated_power_mw"] = document["rated_power_mw"]
+        elements.append(Element(name, entry["kind"], values, a, b))
     _check_names(elements)
     return tuple(elements)
+
+
+def in_service(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The entries that count: not those out of service, nor a series capacitor that compensates nothing."""
+    entries: Sequence[Mapping[str, Any]] = document["element"]
+    return [e for e in entries if e.get("in_service", True) and e.get("compensation_percent", 1.0) != 0.0]
 
 
 def _nodes(entry: Mapping[str, Any], kind: Kind, node: str, k: int, last: bool) -> tuple[str, str, str]:
@@ -145,6 +154,9 @@ def _check_top(document: Mapping[str, Any], f1_hz: float) -> None:
     if not all(isinstance(entry, Mapping) for entry in entries):
         raise GridError("every [[element]] is a table of keys and values")
     voltage = document.get("voltage_kv")
+    power = document.get("rated_power_mw")
+    if power is not None and not _is_positive(power):
+        raise GridError(f"rated_power_mw = {power!r}: needed is the device's rating in MW, above 0")
     if voltage is not None and not _is_positive(voltage):
         raise GridError(f"voltage_kv = {voltage!r}: needed is the line-to-line voltage at the PCC in kV, above 0")
 
@@ -264,8 +276,14 @@ def _source(element: Element, at: Place) -> list[Branch]:
 def _source_impedance(element: Element, level: float | None) -> tuple[float, float]:
     """R and X (ohm) from the short-circuit power and R/X."""
     values = element.values
-    z = _volts(element, level) ** 2 / (_positive(element, "s_sc_mva") * 1e6)
-    rx = values.get("r_over_x", 0.1)
+    _exactly_one(element, ("s_sc_mva", "scr"))
+    if "scr" in values and "rated_power_mw" not in values:
+        raise GridError(f"{element.name}: scr needs rated_power_mw beside voltage_kv at the top of the document")
+    power_mw = values["s_sc_mva"] if "s_sc_mva" in values else values["scr"] * values["rated_power_mw"]
+    if not power_mw > 0.0:
+        raise GridError(f"{element.name}: a short-circuit power of {power_mw:g} MVA; needed is a number above 0")
+    z = _volts(element, level) ** 2 / (power_mw * 1e6)
+    rx = 1.0 / _positive(element, "x_over_r") if "x_over_r" in values else values.get("r_over_x", 0.1)
     x = z / (1.0 + rx**2) ** 0.5
     return rx * x, x
 
@@ -417,7 +435,7 @@ _LINE_KEYS = ("x_ohm_per_km", "l_mh_per_km", "c_nf_per_km", "g_us_per_km", "mode
 
 KINDS: dict[str, Kind] = {
     "series": Kind(True, (), ("r_ohm", "x_ohm", "l_mh"), _series, ("x_ohm", "l_mh")),
-    "source": Kind(True, ("s_sc_mva",), ("r_over_x",), _source, ("s_sc_mva",)),
+    "source": Kind(True, (), ("s_sc_mva", "scr", "r_over_x", "x_over_r"), _source, ("scr", "s_sc_mva")),
     "series_capacitor": Kind(
         True,
         (),

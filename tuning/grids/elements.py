@@ -10,7 +10,7 @@ import numpy as np
 
 from ..network.assembly import Network, assemble, port_impedance
 from ..network.descriptor import Descriptor, Triangular, transfer, triangular
-from .document import KINDS, PCC, elements_of, network_of
+from .document import KINDS, PCC, elements_of, in_service, network_of
 from .errors import GridError
 from .promise import OnePort
 from .rational import RationalGrid
@@ -179,9 +179,10 @@ def elements_grid(document: Mapping[str, Any], f1_hz: float, name: str = "") -> 
 
 def strengths(document: Mapping[str, Any], f1_hz: float) -> dict[str, tuple[int, str, float]]:
     """What of each element can be varied: name to (its place in the document, its key, its value)."""
-    in_service = [k for k, entry in enumerate(document["element"]) if entry.get("in_service", True)]
+    kept = in_service(document)
+    places = [k for k, entry in enumerate(document["element"]) if any(entry is each for each in kept)]
     found = {}
-    for k, element in zip(in_service, elements_of(document, f1_hz), strict=True):
+    for k, element in zip(places, elements_of(document, f1_hz), strict=True):
         key = next((key for key in KINDS[element.kind].strength if element.values.get(key, 0.0) > 0.0), None)
         if key is not None:
             found[element.name] = (k, key, float(element.values[key]))
@@ -211,7 +212,7 @@ def _cable_frequencies(network: Network) -> np.ndarray:
 
 
 def _label(grid: ElementsGrid | CableGrid) -> str:
-    kinds = ", ".join(str(entry["kind"]) for entry in grid.document["element"] if entry.get("in_service", True))
+    kinds = ", ".join(str(entry["kind"]) for entry in in_service(grid.document))
     scale = "" if grid.scale == 1.0 else f" times {grid.scale:.4g}"
     z = grid.at_f1
     name = f"{grid.name}: " if grid.name else ""

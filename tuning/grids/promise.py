@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from ...identify.frames import dq_to_pn
 from ...plant.errors import SeqsweepError
 from ..network.descriptor import Descriptor, J
 
@@ -83,6 +84,10 @@ class Grid(Protocol):
         """What the grid's own errors, each of unit variance, do to sum_ij weight_ij Zdq_ij(s): (n, k) complex."""
         ...
 
+    def missing_rows(self, nu_hz: float, width_hz: float) -> tuple[float, float] | None:
+        """Band of f (Hz) in which the grid was to be measured for a mode at |f - f1|, so wide; None if nothing is."""
+        ...
+
     def scaled(self, scale: float) -> Grid:
         """The same grid with its impedance multiplied by ``scale``."""
         ...
@@ -94,6 +99,10 @@ class Grid(Protocol):
 
 UNDAMPED = 1e-9
 """Modes with a smaller damping ratio lie on the imaginary axis."""
+
+
+BESIDE = 1e-8
+"""How far beside an undamped mode Z is evaluated, as a part of w1."""
 
 
 class OnePort:
@@ -159,6 +168,15 @@ class OnePort:
         modes = self.modes
         return 1j * modes.imag[np.abs(modes.real) <= UNDAMPED * np.maximum(np.abs(modes), self.w1_rad_s)]
 
+    def _beside(self, s: np.ndarray) -> np.ndarray:
+        """``s`` (n,), what stands on an undamped mode moved a little to the right of it: Z is infinite there."""
+        s = np.atleast_1d(np.asarray(s, dtype=complex))
+        undamped = self._undamped
+        if not len(undamped):
+            return s
+        tiny = BESIDE * self.w1_rad_s
+        return np.where(np.abs(s[:, None] - undamped).min(axis=1) < tiny, s + tiny, s)
+
     def impedance_dq(self, s: np.ndarray) -> np.ndarray:
         """Z = (z1 + z2)/2 1 + (z1 - z2)/2j J with z1 = z(s + j w1), z2 = z(s - j w1)."""
         return self._folded(self.impedance, s)
@@ -168,13 +186,13 @@ class OnePort:
         return self._folded(self.slope, s)
 
     def _folded(self, function: Any, s: np.ndarray) -> np.ndarray:
-        s = np.atleast_1d(np.asarray(s, dtype=complex))
+        s = self._beside(s)
         z1, z2 = function(s + 1j * self.w1_rad_s), function(s - 1j * self.w1_rad_s)
         return ((z1 + z2) / 2.0)[:, None, None] * np.eye(2) + ((z1 - z2) / 2j)[:, None, None] * J
 
     def impedance_pn(self, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Zg1 = z(s) and Zg2 = z(s - 2j w1) in ohm at signed frequencies (n,) in Hz; paper eq. 2."""
-        s = 2j * np.pi * np.asarray(f_hz, dtype=float)
+        s = self._beside(2j * np.pi * np.asarray(f_hz, dtype=float) - 1j * self.w1_rad_s) + 1j * self.w1_rad_s
         return self.impedance(s), self.impedance(s - 2j * self.w1_rad_s)
 
     def descriptor(self) -> Descriptor:
@@ -185,8 +203,12 @@ class OnePort:
 
     def clearing(self, s: np.ndarray) -> np.ndarray:
         """Product of (s - j w)/(s + w1) over the poles j w on the axis: they are passed on the right."""
-        s = np.atleast_1d(np.asarray(s, dtype=complex))
+        s = self._beside(s)
         return np.prod((s[:, None] - self._undamped) / (s[:, None] + self.w1_rad_s), axis=1)
+
+    def missing_rows(self, nu_hz: float, width_hz: float) -> tuple[float, float] | None:
+        """None: known everywhere."""
+        return None
 
     def clearing_angle(self, s: complex) -> float:
         """Sum of the angles of the factors."""
@@ -205,16 +227,13 @@ def impedance_dq(grid: Grid, s: np.ndarray) -> np.ndarray:
 def impedance_pn(grid: Grid, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Zg1 and Zg2 (n,) in ohm at signed frequencies (n,) in Hz; paper eq. 2.
 
-    Raises
-    ------
-    SeqsweepError
-        If the grid couples the two: it then is a matrix.
+    Of a grid that couples the two they are the reciprocals of its admittances Ygpp and Ygnn.
     """
-    if not isinstance(grid, OnePort):
-        raise SeqsweepError(
-            f"{grid.label} couples positive sequence and mirror image: it has no Zg1 and Zg2 of its own"
-        )
-    return grid.impedance_pn(f_hz)
+    if isinstance(grid, OnePort):
+        return grid.impedance_pn(f_hz)
+    s = 2j * np.pi * (np.asarray(f_hz, dtype=float) - grid.f1_hz)
+    y = dq_to_pn(np.linalg.inv(grid.impedance_dq(s)))
+    return 1.0 / y[:, 0, 0], 1.0 / y[:, 1, 1]
 
 
 def own_impedance(grid: Grid, f_hz: float) -> complex:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..network.descriptor import Descriptor
+from .coverage import around, is_between
 from .promise import OnePort
 
 
@@ -104,12 +105,21 @@ class RationalGrid(OnePort):
 
     def spread_dq(self, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Effect of the fit's errors on sum_ij weight_ij Zdq_ij: z1 and z2 move with the same parameters."""
-        s, w1 = np.atleast_1d(np.asarray(s, dtype=complex)), self.w1_rad_s
+        s, w1 = self._beside(s), self.w1_rad_s
         both = (weight[:, 0, 0] + weight[:, 1, 1]) / 2.0
         across = (weight[:, 1, 0] - weight[:, 0, 1]) / 2j
         slopes = (both + across)[:, None] * gradient(self, s + 1j * w1)
         slopes += (both - across)[:, None] * gradient(self, s - 1j * w1)
         return np.asarray(self.scale * slopes @ self.covariance_root)
+
+    def missing_rows(self, nu_hz: float, width_hz: float) -> tuple[float, float] | None:
+        """The first of f1 + nu and |f1 - nu| that no rows hold on both sides."""
+        if self.rows_hz is None:
+            return None
+        for f_hz in (self.f1_hz + nu_hz, abs(self.f1_hz - nu_hz)):
+            if not is_between(self.rows_hz, f_hz, width_hz):
+                return around(f_hz, width_hz)
+        return None
 
     def scaled(self, scale: float) -> RationalGrid:
         """The impedance multiplied."""

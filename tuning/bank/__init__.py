@@ -1,0 +1,1 @@
+"""A bank of grids: what is in it, and the judgement of one device on one of them."""

@@ -1,0 +1,245 @@
+"""What a bank holds: files of a folder, tables in one Parquet file, or a family made from ranges.
+
+An entry is small and not yet opened: a file that cannot be read costs its own row and nothing else.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..grids.errors import GridError
+from ..grids.open import GRID_SUFFIXES, grid_of_document, open_file, read_document
+from ..grids.promise import Grid
+from ..grids.regions import RegionGrid
+from ..grids.tables import ZTable, grid_of_table
+
+MOST_MEMBERS = 100_000
+"""Most grids that a family makes."""
+
+FAMILY_KEYS = ("name", "combine", "count", "seed")
+RANGE_KEYS = ("from", "to", "steps", "spacing")
+
+
+@dataclass(frozen=True, slots=True)
+class BankEntry:
+    """One grid of a bank, before it is opened.
+
+    Attributes
+    ----------
+    grid_id : str
+        Its name: the file's, the table's, or the values that the family gave it.
+    file : str
+        The file to open; empty where the content is here.
+    document : mapping or None
+        Elements, where a family made them.
+    table : ZTable or None
+        Rows, where a Parquet file held many.
+    parameters : mapping
+        What the family varied, by "element.key".
+    """
+
+    grid_id: str
+    file: str = ""
+    document: Mapping[str, Any] | None = None
+    table: ZTable | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def open(self, f1_hz: float) -> Grid | RegionGrid:
+        """The grid.
+
+        Raises
+        ------
+        SeqsweepError
+            If it is none.
+        """
+        if self.document is not None:
+            return grid_of_document(self.document, f1_hz, self.grid_id, self.grid_id)
+        if self.table is not None:
+            return grid_of_table(self.table, f1_hz, self.grid_id)
+        return open_file(self.file, f1_hz)
+
+
+def bank_of(path: str | Path) -> tuple[BankEntry, ...]:
+    """The entries of a folder, of one file with many grids, or of a single grid's file.
+
+    Raises
+    ------
+    GridError
+        If there is none.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise GridError(f"{path}: no such file or folder")
+    if path.is_dir():
+        entries = tuple(_of_folder(path))
+    elif path.suffix.lower() == ".parquet":
+        entries = tuple(_of_parquet(path))
+    elif path.suffix.lower() == ".toml" and "family" in (document := read_document(path)):
+        entries = tuple(family(document, str(path)))
+    else:
+        entries = (BankEntry(path.name, str(path)),)
+    if not entries:
+        raise GridError(f"{path}: the bank is empty; a grid has one of the suffixes {', '.join(GRID_SUFFIXES)}")
+    return _named_once(entries)
+
+
+def _of_folder(path: Path) -> Iterator[BankEntry]:
+    """Every file of a known suffix, sub-folders included; a family or a Parquet file stands for its members."""
+    for file in sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in GRID_SUFFIXES):
+        name = str(file.relative_to(path))
+        try:
+            if file.suffix.lower() == ".parquet":
+                yield from (_renamed(entry, f"{name}#{entry.grid_id}") for entry in _of_parquet(file))
+                continue
+            if file.suffix.lower() == ".toml" and "family" in (document := read_document(file)):
+                yield from (_renamed(entry, f"{name}#{entry.grid_id}") for entry in family(document, name))
+                continue
+        except GridError:
+            pass  # it gets a row of its own, with the reason
+        yield BankEntry(name, str(file))
+
+
+def _renamed(entry: BankEntry, grid_id: str) -> BankEntry:
+    return BankEntry(grid_id, entry.file, entry.document, entry.table, entry.parameters)
+
+
+def _named_once(entries: Sequence[BankEntry]) -> tuple[BankEntry, ...]:
+    names = [entry.grid_id for entry in entries]
+    if len(set(names)) == len(names):
+        return tuple(entries)
+    twice = next(name for name in names if names.count(name) > 1)
+    raise GridError(f"two grids of the bank are called {twice!r}")
+
+
+# One Parquet file ----------------------------------------------------------------------------------------------------
+
+
+def _of_parquet(path: Path) -> Iterator[BankEntry]:
+    """Operating points of a table of ours, or one table of Z(f) for each ``grid_id``."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise GridError(f"{path}: not a Parquet file: {error}") from None
+    names = set(table.column_names)
+    if {"op_id", "y_pp_re"} <= names:
+        for op_id in dict.fromkeys(table.column("op_id").to_pylist()):
+            yield BankEntry(str(op_id), f"{path}#{op_id}")
+        return
+    needed = ("grid_id", "f_hz", "r_ohm", "x_ohm")
+    if not set(needed) <= names:
+        raise GridError(f"{path}: columns {', '.join(sorted(names))[:200]}; a bank has {', '.join(needed)} (std_ohm)")
+    ids = np.array([str(value) for value in table.column("grid_id").to_pylist()])
+    f, r, x = (np.asarray(table.column(name).to_pylist(), dtype=float) for name in needed[1:])
+    std = np.asarray(table.column("std_ohm").to_pylist(), dtype=float) if "std_ohm" in names else None
+    for grid_id in dict.fromkeys(ids.tolist()):
+        at = ids == grid_id
+        yield BankEntry(grid_id, table=ZTable(f[at], r[at] + 1j * x[at], None if std is None else std[at]))
+
+
+# A family ------------------------------------------------------------------------------------------------------------
+
+
+def family(document: Mapping[str, Any], place: str) -> Iterator[BankEntry]:
+    """Members of a family: every value of an element that is a list or a range is varied.
+
+    ``[family]`` says how: ``combine = "all"`` every combination, ``"random"`` so many of them (``count``, ``seed``),
+    each value drawn by itself, from a range evenly.
+
+    Raises
+    ------
+    GridError
+        If a range cannot be read, or nothing is varied.
+    """
+    rules = document["family"]
+    if not isinstance(rules, Mapping):
+        raise GridError(f"{place}: [family] is a table of keys: {', '.join(FAMILY_KEYS)}")
+    unknown = [key for key in rules if key not in FAMILY_KEYS]
+    if unknown:
+        raise GridError(f"{place}: [family] has {', '.join(FAMILY_KEYS)}; {unknown[0]!r} is not known")
+    base = {key: value for key, value in document.items() if key != "family"}
+    varied = list(_varied(base, place))
+    if not varied:
+        raise GridError(f"{place}: nothing is varied; give an element's value as a list, or as from, to and steps")
+    combine = rules.get("combine", "all")
+    if combine == "all":
+        choices: Any = itertools.product(*(values for *_, values in varied))
+        count = int(np.prod([len(values) for *_, values in varied]))
+    elif combine == "random":
+        count = int(rules.get("count", 100))
+        choices = _drawn(base, varied, count, int(rules.get("seed", 1)))
+    else:
+        raise GridError(f"{place}: combine = {combine!r}; known are 'all' and 'random'")
+    if not 0 < count <= MOST_MEMBERS:
+        raise GridError(f"{place}: {count} grids; a family has 1 to {MOST_MEMBERS}")
+    for number, chosen in enumerate(choices, start=1):
+        yield _member(base, varied, chosen, number)
+
+
+def _varied(base: Mapping[str, Any], place: str) -> Iterator[tuple[int, str, str, list[Any]]]:
+    """(number of the element, its name, key, values) of everything that is varied."""
+    counts: dict[str, int] = {}
+    for k, entry in enumerate(base.get("element", ())):
+        kind = str(entry.get("kind"))
+        counts[kind] = counts.get(kind, 0) + 1
+        name = str(entry.get("name", f"{kind}{counts[kind]}"))
+        for key, value in entry.items():
+            if isinstance(value, list):
+                if not value:
+                    raise GridError(f"{place}: {name}.{key}: an empty list")
+                yield k, name, key, value
+            elif isinstance(value, Mapping):
+                yield k, name, key, _range(value, f"{place}: {name}.{key}")
+
+
+def _range(value: Mapping[str, Any], place: str) -> list[float]:
+    """Values from ``from`` to ``to`` in ``steps``, evenly or by equal ratios (spacing = "log")."""
+    unknown = [key for key in value if key not in RANGE_KEYS]
+    if unknown or "from" not in value or "to" not in value:
+        raise GridError(f"{place}: a range has from, to, steps and spacing ('linear' or 'log')")
+    low, high, steps = float(value["from"]), float(value["to"]), int(value.get("steps", 5))
+    if steps < 1 or value.get("spacing", "linear") not in ("linear", "log"):
+        raise GridError(f"{place}: steps = {steps}, spacing = {value.get('spacing')!r}")
+    if value.get("spacing") == "log":
+        if not low > 0.0:
+            raise GridError(f"{place}: a logarithmic range begins above 0")
+        return [float(x) for x in np.geomspace(low, high, steps)]
+    return [float(x) for x in np.linspace(low, high, steps)]
+
+
+def _drawn(
+    base: Mapping[str, Any], varied: Sequence[tuple[int, str, str, list[Any]]], count: int, seed: int
+) -> Iterator[tuple[Any, ...]]:
+    """Random values: anywhere in a range, any of a list."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        chosen = []
+        for k, _name, key, values in varied:
+            given = base["element"][k][key]
+            if isinstance(given, Mapping) and given.get("spacing") == "log":
+                chosen.append(float(np.exp(rng.uniform(np.log(values[0]), np.log(values[-1])))))
+            elif isinstance(given, Mapping):
+                chosen.append(float(rng.uniform(values[0], values[-1])))
+            else:
+                chosen.append(values[int(rng.integers(len(values)))])
+        yield tuple(chosen)
+
+
+def _member(
+    base: Mapping[str, Any], varied: Sequence[tuple[int, str, str, list[Any]]], chosen: Sequence[Any], number: int
+) -> BankEntry:
+    entries = [dict(entry) for entry in base["element"]]
+    parameters = {}
+    for (k, name, key, _values), value in zip(varied, chosen, strict=True):
+        entries[k][key] = value
+        parameters[f"{name}.{key}"] = value
+    document = {**base, "element": entries}
+    return BankEntry(f"{number:05d}", document=document, parameters=parameters)

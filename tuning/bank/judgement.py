@@ -1,0 +1,198 @@
+"""One device on one grid of a bank: a row of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...identify.fit.dq_data import to_dq
+from ...identify.fit.model import MIN_POINTS, fit_response
+from ...identify.fit.rational import RationalModel
+from ...identify.response import FrequencyResponse
+from ...plant.errors import SeqsweepError
+from ..anchor import Anchor, anchor_of
+from ..grid_check import grid_warnings
+from ..grids.promise import Grid
+from ..grids.regions import RegionGrid, exclusion
+from ..poles import ClosedLoop
+from ..rows import Rows, rows_of
+from ..tune import acceptable_misfit, relative_misfit
+from ..verdict import Stability, judge
+from .edges import ElementEdge, element_edges, scale_at_the_edge
+from .entries import BankEntry
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """One operating point of the device, fitted once for all grids.
+
+    Attributes
+    ----------
+    op_id : str
+        Operating point.
+    f1_hz : float
+        Fundamental (Hz).
+    model, rows, anchor
+        What a verdict is made of; None where there is nothing to judge.
+    point, bases : mapping
+        What is known of the operating point and of the rating.
+    problem : str
+        Why nothing can be judged; empty where it can.
+    """
+
+    op_id: str
+    f1_hz: float
+    model: RationalModel | None
+    rows: Rows | None
+    anchor: Anchor | None
+    point: Mapping[str, Any]
+    bases: Mapping[str, Any]
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PairVerdict:
+    """One operating point on one grid.
+
+    Attributes
+    ----------
+    grid_id, op_id : str
+        Which grid, which operating point.
+    status : str
+        "ok", or "failed" where the grid could not be read or judged.
+    verdict, reason : str
+        "stable", "unstable" or "undecided", and why.
+    probability : float or None
+        Probability of being stable.
+    grid : str
+        The grid in one line.
+    r_ohm, x_ohm : float or None
+        Its impedance at the fundamental (ohm).
+    n_unstable : int or None
+        Unstable closed-loop modes, conjugates counted.
+    margin_m : float or None
+        m of the critical crossing.
+    re_rad_s, im_rad_s, re_std_rad_s, damping : float or None
+        The deciding mode (dq frame): pole, standard error of its real part, damping ratio.
+    critical_scale : float or None
+        Multiplier of the whole impedance at the edge.
+    elements : tuple of ElementEdge
+        Critical value of each element, where the grid has any and they were asked for.
+    missing_hz : (float, float) or None
+        Band of f that was to be measured of the grid.
+    parameters : mapping
+        What the family varied.
+    warnings : tuple of str
+        What the reader should know.
+    """
+
+    grid_id: str
+    op_id: str
+    status: str = "ok"
+    verdict: str = "undecided"
+    reason: str = ""
+    probability: float | None = None
+    grid: str = ""
+    r_ohm: float | None = None
+    x_ohm: float | None = None
+    n_unstable: int | None = None
+    margin_m: float | None = None
+    re_rad_s: float | None = None
+    im_rad_s: float | None = None
+    re_std_rad_s: float | None = None
+    damping: float | None = None
+    critical_scale: float | None = None
+    elements: tuple[ElementEdge, ...] = ()
+    missing_hz: tuple[float, float] | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def device_of(response: FrequencyResponse, bases: Mapping[str, Any]) -> Device:
+    """An operating point made ready to be judged on many grids."""
+    op_id, f1_hz = str(response.meta.get("op_id", "")), response.f1_hz
+    point = {key: response.meta.get(key) for key in ("active_power_mw", "terminal_voltage_pu", "grid")}
+    usable = int(np.sum(response.usable))
+    if usable < MIN_POINTS:
+        problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
+        return Device(op_id, f1_hz, None, None, None, point, bases, problem)
+    rows = rows_of(to_dq(response))
+    anchor = anchor_of(response.meta, rows, f1_hz)
+    model = fit_response(response, n_unstable=anchor.n_unstable)
+    misfit = relative_misfit(model, response)
+    problem = "" if misfit <= acceptable_misfit(response) else f"no rational model describes the table ({misfit:.1%})"
+    return Device(op_id, f1_hz, model, rows, anchor, point, bases, problem)
+
+
+def judge_pair(device: Device, entry: BankEntry, *, elements: bool = False) -> PairVerdict:
+    """The verdict of one device on one grid. A grid that cannot be read makes a row that says so.
+
+    ``elements`` also seeks the critical value of each element of the grid.
+    """
+    try:
+        grid = entry.open(device.f1_hz)
+    except SeqsweepError as error:
+        return PairVerdict(entry.grid_id, device.op_id, "failed", reason=str(error), parameters=entry.parameters)
+    if device.model is None or device.rows is None or device.problem:
+        return PairVerdict(entry.grid_id, device.op_id, reason=device.problem, parameters=entry.parameters)
+    return _judged(device, device.model, entry, grid, elements)
+
+
+def _judged(
+    device: Device, model: RationalModel, entry: BankEntry, grid: Grid | RegionGrid, elements: bool
+) -> PairVerdict:
+    member = grid.member if isinstance(grid, RegionGrid) else grid
+    stability = judge(model, member, device.rows, device.anchor)
+    verdict, reason, missing = stability.verdict, stability.reason, None
+    if isinstance(grid, RegionGrid) and verdict != "undecided":
+        found = exclusion(model, grid)
+        if not found.excluded:
+            verdict, reason = "undecided", f"one member of the region is {verdict}, but {found.reason}"
+    loop = stability.closed_loop
+    missing = _missing(member, loop, stability)
+    at = deciding_mode(loop)
+    notes = tuple(getattr(member, "notes", ()))
+    return PairVerdict(
+        grid_id=entry.grid_id,
+        op_id=device.op_id,
+        verdict=verdict,
+        reason=reason,
+        probability=stability.probability,
+        grid=grid.name if isinstance(grid, RegionGrid) else grid.label,
+        r_ohm=member.at_f1.real,
+        x_ohm=member.at_f1.imag,
+        n_unstable=loop.n_unstable,
+        margin_m=None if stability.critical is None else stability.critical.m,
+        re_rad_s=None if at is None else float(loop.poles[at].real),
+        im_rad_s=None if at is None else float(loop.poles[at].imag),
+        re_std_rad_s=None if at is None else float(loop.std[at].real),
+        damping=None if at is None else float(loop.damping[at]),
+        critical_scale=scale_at_the_edge(model, member, loop.n_unstable),
+        elements=element_edges(model, member, loop.n_unstable == 0) if elements else (),
+        missing_hz=missing,
+        parameters=entry.parameters,
+        warnings=(*notes, *grid_warnings(device.point, device.bases, member)),
+    )
+
+
+def deciding_mode(loop: ClosedLoop) -> int | None:
+    """Index of the mode that decides: the unstable one that grows fastest, else the resonance, else the slowest one."""
+    unstable = np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)
+    if len(unstable):
+        return int(unstable[np.argmax(loop.poles.real[unstable])])
+    if loop.critical is not None:
+        return loop.critical
+    believed = np.flatnonzero(~loop.beyond)
+    return int(believed[np.argmax(loop.poles.real[believed])]) if len(believed) else None
+
+
+def _missing(member: Grid, loop: ClosedLoop, stability: Stability) -> tuple[float, float] | None:
+    """Rows of the grid that the deciding mode wants, where the verdict is open."""
+    at = deciding_mode(loop)
+    if at is None or stability.verdict != "undecided":
+        return None
+    pole = loop.poles[at]
+    return member.missing_rows(abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi))

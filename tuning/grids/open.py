@@ -1,0 +1,104 @@
+"""One grid from what a person writes: R + jX, or the name of a file."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from .elements import elements_grid
+from .errors import GridError
+from .promise import Grid
+from .regions import RegionGrid, regions_grid
+from .response import ResponseGrid
+from .series import check_scale, parse_series
+from .tables import table_grid
+
+GRID_SUFFIXES = (".toml", ".parquet", ".csv", ".txt", ".dat", ".tsv", ".asc", ".s1p", ".s2p", ".mat", ".json")
+"""Suffixes of files that hold a grid."""
+
+
+def open_grid(text: str, f1_hz: float, scale: float = 1.0) -> Grid:
+    """The grid of ``0.012+0.25j`` (ohm at f1), or of a file, multiplied by ``scale``.
+
+    Parameters
+    ----------
+    text : str
+        R+jX, or a file: ``grid.toml`` (elements), a table of Z(f), or a table of ours, with ``#ID`` behind its name
+        where it has several operating points.
+    f1_hz : float
+        The fundamental of the device's table (Hz).
+    scale : float
+        Multiplies the impedance.
+
+    Raises
+    ------
+    SeqsweepError
+        If it is neither, or the file is no grid.
+    """
+    check_scale(scale)
+    if not is_file(text):
+        return parse_series(text, f1_hz, scale)
+    grid = open_file(text, f1_hz)
+    if isinstance(grid, RegionGrid):
+        raise GridError(f"{text}: regions of Z are judged by seqsweep judge; tune needs one grid")
+    return grid if scale == 1.0 else grid.scaled(scale)
+
+
+def is_file(text: str) -> bool:
+    """Whether a text names a file rather than an impedance."""
+    path = Path(text.partition("#")[0])
+    return path.suffix.lower() in GRID_SUFFIXES or path.exists()
+
+
+def open_file(text: str, f1_hz: float) -> Grid | RegionGrid:
+    """The grid of a file, whatever its kind."""
+    name, _, op_id = text.partition("#")
+    path = Path(name)
+    if not path.exists():
+        raise GridError(f"{path}: no such file")
+    if path.suffix.lower() == ".toml":
+        return grid_of_document(read_document(path), f1_hz, path.stem, str(path))
+    if path.suffix.lower() == ".parquet":
+        return response_grid(path, op_id or None, f1_hz)
+    return table_grid(path, f1_hz)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """A TOML file as plain values."""
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise GridError(f"{path}: not TOML: {error}") from None
+
+
+def grid_of_document(document: Mapping[str, Any], f1_hz: float, name: str, place: str) -> Grid | RegionGrid:
+    """The grid of a document with elements or regions; messages begin with ``place``."""
+    try:
+        if "region" in document:
+            return regions_grid(document, f1_hz, name)
+        if "family" in document:
+            raise GridError("a family makes many grids: seqsweep judge --grids takes it")
+        return elements_grid(document, f1_hz, name)
+    except GridError as error:
+        raise GridError(f"{place}: {error}") from None
+
+
+def response_grid(path: Path, op_id: str | None, f1_hz: float) -> ResponseGrid:
+    """The grid of an operating point of a table of ours."""
+    from ...identify.fit.model import fit_response
+    from ...identify.table.read import read_table
+
+    responses = read_table(path).responses
+    ids = [str(response.meta.get("op_id")) for response in responses]
+    if op_id is None and len(responses) > 1:
+        raise GridError(
+            f"{path} has {len(responses)} operating points: write {path}#ID, ID one of {', '.join(ids[:8])}"
+        )
+    chosen = [r for r, name in zip(responses, ids, strict=True) if op_id is None or name == op_id]
+    if not chosen:
+        raise GridError(f"{path}: no operating point {op_id!r}; it has {', '.join(ids[:8])}")
+    if chosen[0].f1_hz != f1_hz:
+        raise GridError(f"{path}: its fundamental is {chosen[0].f1_hz:g} Hz, the device's {f1_hz:g} Hz")
+    return ResponseGrid(fit_response(chosen[0]), f"{path.name}#{chosen[0].meta.get('op_id')}")
