@@ -147,7 +147,7 @@ def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:
     one takes one state.
     """
     check_fundamental(model.f1_hz, grid)
-    a, b, c = _states(model)
+    a, b, c = states(model)
     behind = grid.descriptor()
     n = len(a)
     size = n + 2 + len(behind.a)
@@ -188,13 +188,16 @@ def mode_weight(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
 
 
 def _covariance(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
-    """(2, 2) over Re and Im by the delta method."""
-    errors = spread(model, np.array([pole]), mode_weight(model, grid, pole))[0]
+    """(2, 2) over Re and Im by the delta method, errors of the device and of the grid together."""
+    s = np.array([pole])
+    weight = mode_weight(model, grid, pole)
+    behind = np.linalg.inv(impedance_dq(grid, s)[0]).T
+    errors = np.append(spread(model, s, weight)[0], grid.spread_dq(s, -(behind @ weight @ behind))[0])
     effect = np.stack([errors.real, errors.imag])
     return np.asarray(effect @ effect.T)
 
 
-def _states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Diagonal A (n,), B (n, 2), C (2, n) with as many states per pole as its residue has rank."""
     u, singular, vh = np.linalg.svd(model.residues)
     kept = np.arange(2) < model.ranks[:, None]

@@ -52,12 +52,8 @@ def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.nd
     pole, but unlike that it stays well defined where poles crowd and only their combinations are known.
     """
     s = 2j * np.pi * nu_hz
-    y, z = evaluate(model, s), grid.impedance_dq(s)
-    loop = np.eye(2) + y @ z
-    adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-    by_device = spread(model, s, np.swapaxes(z @ adjugate, 1, 2))
-    by_grid = grid.spread_dq(s, np.swapaxes(adjugate @ y, 1, 2))
-    errors = np.concatenate([by_device, by_grid], axis=1)
+    loop = np.eye(2) + evaluate(model, s) @ grid.impedance_dq(s)
+    errors = np.concatenate(locus_errors(model, grid, nu_hz), axis=1)
     real, imag = errors.real, errors.imag
     value = det(loop)
     rounding = 1e-18 * np.sum(np.abs(loop) ** 2, axis=(1, 2)) ** 2  # at nu = 0 the locus is real, and so is its spread
@@ -65,6 +61,16 @@ def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.nd
     across = np.sum(real * imag, axis=1)
     squared = var_im * value.real**2 - 2.0 * across * value.real * value.imag + var_re * value.imag**2
     return np.sqrt(np.maximum(squared, 0.0) / np.maximum(var_re * var_im - across**2, 1e-14 * var_re * var_im))
+
+
+def locus_errors(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What errors of unit variance of device (n, k) and grid (n, j) do to det(1 + Y Z): tr(adj(M)(dY Z + Y dZ))."""
+    s = 2j * np.pi * nu_hz
+    y, z = evaluate(model, s), grid.impedance_dq(s)
+    loop = np.eye(2) + y @ z
+    adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    by_device = spread(model, s, np.swapaxes(z @ adjugate, 1, 2))
+    return by_device, grid.spread_dq(s, np.swapaxes(adjugate @ y, 1, 2))
 
 
 def _normal(x: float) -> float:

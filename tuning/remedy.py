@@ -8,6 +8,7 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, gradient, row_shares
 from .poles import mode_weight
+from .probability import DECIDED_AT, Doubt, locus_errors
 from .siso import Grid
 
 MOST_PERIODS = 1000
@@ -50,3 +51,18 @@ def remedy(model: RationalModel, grid: Grid, pole: complex, part: float) -> Reme
         above = share[last + 1] if last + 1 < len(share) else -1.0
         first, last = (first - 1, last) if below > above else (first, last + 1)
     return None if best is None else best[1]
+
+
+def grid_is_to_blame(model: RationalModel, grid: Grid, at: Doubt) -> bool:
+    """Whether more of the doubt comes from the grid's rows than from the device's."""
+    by_device, by_grid = locus_errors(model, grid, np.array([at.nu_hz]))
+    return bool(np.linalg.norm(by_grid) > np.linalg.norm(by_device))
+
+
+def advice_on_grid(model: RationalModel, at: Doubt) -> str:
+    """How much better the grid's own scan would have to be, and where."""
+    times = (DECIDED_AT / max(at.distance, 1e-3)) ** 2
+    if times > MOST_PERIODS:
+        return "the loop is so close to the edge that no affordable scan of the grid decides"
+    places = " and ".join(f"{f:.4g}" for f in sorted({abs(model.f1_hz - at.nu_hz), model.f1_hz + at.nu_hz}))
+    return f"a scan of the grid with {int(np.ceil(times))} times the averaging near {places} Hz would decide"

@@ -140,7 +140,7 @@ def _fitted(response: FrequencyResponse) -> _Device:
     anchor = anchor_of(response.meta, rows, response.f1_hz)
     model = fit_response(response, n_unstable=anchor.n_unstable)
     misfit = relative_misfit(model, response)
-    bad = misfit > _acceptable_misfit(response)
+    bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
     return _Device(response, rows, anchor, model, problem)
 
@@ -237,7 +237,7 @@ def _row_warnings(response: FrequencyResponse) -> tuple[str, ...]:
     return tuple(remarks)
 
 
-def _acceptable_misfit(response: FrequencyResponse) -> float:
+def acceptable_misfit(response: FrequencyResponse) -> float:
     """`MAX_MISFIT`, or twice what the rows themselves say of their errors."""
     stated = relative_uncertainty(response)[response.usable]
     stated = stated[np.isfinite(stated)]

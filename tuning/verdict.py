@@ -17,7 +17,7 @@ from .anchor import Anchor
 from .crossings import Crossing, bode_crossings, critical_crossing
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop, closed_loop_poles, is_beyond
 from .probability import DECIDED, DECIDED_AT, Doubt, doubt
-from .remedy import remedy
+from .remedy import advice_on_grid, grid_is_to_blame, remedy
 from .rows import Rows, difference, wind_rows
 from .siso import Grid, check_fundamental, siso
 from .winding import Winding, about, refine_locus, wind
@@ -201,7 +201,16 @@ class Case:
 
 
 def _decide(case: Case) -> tuple[Decision, str]:
-    objections = (_untraced, _unproved, _open_end, _judges_disagree, _swept_grid_denies, _improbable, _unswept)
+    objections = (
+        _untraced,
+        _unproved,
+        _open_end,
+        _judges_disagree,
+        _swept_grid_denies,
+        _improbable,
+        _unswept,
+        _grid_unmeasured,
+    )
     for objection in objections:
         reason = objection(case)
         if reason:
@@ -319,6 +328,25 @@ def _unswept(case: Case) -> str:
     )
 
 
+def _grid_unmeasured(case: Case) -> str:
+    """Modes that decide need rows of the grid around them, too, where it is a table."""
+    loop, decisive = case.loop, _decisive(case)
+    wanted = {k: case.grid.missing_rows(*_place_and_width(complex(loop.poles[k]))) for k in decisive}
+    missing = [(k, band) for k, band in wanted.items() if band is not None]
+    if not missing or (not case.stable and len(missing) < len(decisive)):
+        return ""
+    k, (low, high) = missing[0]
+    return (
+        f"a mode at {_place(case.model, float(loop.f_hz[k]))} decides, and the grid was not measured from {low:.4g} to "
+        f"{high:.4g} Hz: scan it there"
+    )
+
+
+def _place_and_width(pole: complex) -> tuple[float, float]:
+    """|f - f1| and half width of a mode (Hz)."""
+    return abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
+
+
 def _mode_text(case: Case) -> str:
     """The unstable mode that grows fastest, in words."""
     loop = case.loop
@@ -333,6 +361,8 @@ def _mode_text(case: Case) -> str:
 def _advice(case: Case) -> str:
     """Which rows, and how many times the periods, would bring the locus as far from zero as a verdict asks."""
     model, poles = case.model, case.loop.poles
+    if grid_is_to_blame(model, case.grid, case.doubt):
+        return advice_on_grid(model, case.doubt)
     nearest = complex(poles[np.argmin(np.abs(poles - 2j * np.pi * case.doubt.nu_hz))])
     found = remedy(model, case.grid, nearest, (case.doubt.distance / DECIDED_AT) ** 2)
     if found is None:

@@ -92,7 +92,7 @@ class ResponseGrid:
 
     def descriptor(self) -> Descriptor:
         """States of Ys and the PCC's voltage: 0 = C x + D v + E v' + i, complex where poles are."""
-        from ..poles import _states as states
+        from ..poles import states
 
         model = self.model
         a, b, c = states(model)

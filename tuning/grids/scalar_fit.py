@@ -96,7 +96,7 @@ def fit_impedance(
     rows = _Rows(2j * np.pi * f_hz, z, 1.0 / size if std is None else 1.0 / np.maximum(std, 1e-12 * size))
     trial = _interpolated(rows, size)
     if trial is None:
-        trial = _grown(rows, size)
+        trial = _pruned(rows, _settled(rows, _grown(rows, size)))
     trial = _settled(rows, trial)
     return _finished(rows, trial, f1_hz, name, size, std is not None)
 
@@ -280,6 +280,17 @@ def _with_pair(rows: _Rows, trial: _Trial) -> np.ndarray:
     by_row = np.hypot(trial.misfit[:n], trial.misfit[n:])
     beta = abs(rows.s[int(np.argmax(by_row))])
     return upper_half(np.append(trial.poles, beta * (-0.02 + 1j)))
+
+
+def _pruned(rows: _Rows, trial: _Trial) -> _Trial:
+    """Without the poles that the rows do not miss, the least missed first."""
+    while len(trial.poles):
+        tried = [_moved(rows, np.delete(trial.poles, k), trial.at_zero, 1) for k in range(len(trial.poles))]
+        least = min(tried, key=lambda t: t.bic)
+        if least.bic >= trial.bic:
+            return trial
+        trial = least
+    return trial
 
 
 # The end -------------------------------------------------------------------------------------------------------------
