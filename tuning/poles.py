@@ -38,6 +38,14 @@ class Shape(NamedTuple):
     slope: complex
 
 
+class Shapes(NamedTuple):
+    """The same for many poles: (n, 2), (n, 2) and (n,)."""
+
+    left: np.ndarray
+    right: np.ndarray
+    slope: np.ndarray
+
+
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
     """Closed-loop poles in the dq frame.
@@ -104,7 +112,7 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     poles = closed_loop_poles(model, grid)
     upper = poles[poles.imag >= 0.0]
     upper = upper[np.argsort(-upper.real)]
-    covariance = np.array([_covariance(model, grid, p) for p in upper]).reshape(-1, 2, 2)
+    covariance = _covariance(model, grid, upper)
     critical = _critical(model, upper, np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
     return ClosedLoop(model.f1_hz, upper, covariance, is_beyond(model, upper), critical)
 
@@ -171,30 +179,38 @@ def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:
 
 def mode_shape(model: RationalModel, grid: Grid, pole: complex) -> Shape:
     """Left and right null vectors of Y + Yg at a closed-loop pole, dq frame."""
-    z_inverse = np.linalg.inv(impedance_dq(grid, np.array([pole]))[0])
-    u, _, vh = np.linalg.svd(evaluate(model, np.array([pole]))[0] + z_inverse)
-    left, right = u[:, 1].conj(), vh[1].conj()
-    slope = derivative(model, pole) - z_inverse @ grid.slope_dq(np.array([pole]))[0] @ z_inverse
-    return Shape(left, right, complex(left @ slope @ right))
+    shapes = mode_shapes(model, grid, np.array([pole]))
+    return Shape(shapes.left[0], shapes.right[0], complex(shapes.slope[0]))
 
 
-def mode_weight(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
-    """What a closed-loop pole moves by, but for its sign, when Ydq at the pole changes: (1, 2, 2), as for `gradient`.
+def mode_shapes(model: RationalModel, grid: Grid, poles: np.ndarray) -> Shapes:
+    """`mode_shape` of all poles (n,) at once."""
+    z_inverse = np.linalg.inv(impedance_dq(grid, poles))
+    u, _, vh = np.linalg.svd(evaluate(model, poles) + z_inverse)
+    left, right = u[:, :, 1].conj(), vh[:, 1].conj()
+    slopes = np.stack([derivative(model, complex(pole)) for pole in poles])
+    slopes = slopes - z_inverse @ grid.slope_dq(poles) @ z_inverse
+    return Shapes(left, right, np.einsum("ni,nij,nj->n", left, slopes, right))
 
-    The pole moves by -left dY right / (left M' right).
+
+def mode_weight(model: RationalModel, grid: Grid, poles: np.ndarray) -> np.ndarray:
+    """What closed-loop poles (n,) move by, but for the sign, when Ydq at them changes: (n, 2, 2), as for `gradient`.
+
+    A pole moves by -left dY right / (left M' right).
     """
-    shape = mode_shape(model, grid, pole)
-    return np.outer(shape.left, shape.right)[None] / shape.slope
+    shape = mode_shapes(model, grid, poles)
+    return np.asarray(shape.left[:, :, None] * shape.right[:, None, :] / shape.slope[:, None, None])
 
 
-def _covariance(model: RationalModel, grid: Grid, pole: complex) -> np.ndarray:
-    """(2, 2) over Re and Im by the delta method, errors of the device and of the grid together."""
-    s = np.array([pole])
-    weight = mode_weight(model, grid, pole)
-    behind = np.linalg.inv(impedance_dq(grid, s)[0]).T
-    errors = np.append(spread(model, s, weight)[0], grid.spread_dq(s, -(behind @ weight @ behind))[0])
-    effect = np.stack([errors.real, errors.imag])
-    return np.asarray(effect @ effect.T)
+def _covariance(model: RationalModel, grid: Grid, poles: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) over Re and Im by the delta method, errors of the device and of the grid together."""
+    if len(poles) == 0:
+        return np.zeros((0, 2, 2))
+    weight = mode_weight(model, grid, poles)
+    behind = np.swapaxes(np.linalg.inv(impedance_dq(grid, poles)), 1, 2)
+    errors = np.append(spread(model, poles, weight), grid.spread_dq(poles, -(behind @ weight @ behind)), axis=1)
+    effect = np.stack([errors.real, errors.imag], axis=1)
+    return np.asarray(effect @ np.swapaxes(effect, 1, 2))
 
 
 def states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -36,7 +36,7 @@ def remedy(model: RationalModel, grid: Grid, pole: complex, part: float) -> Reme
     Noise goes down with the number of periods. A band grows from the row that matters most towards the neighbour that
     matters more; of all such bands the one with the fewest periods in total is taken.
     """
-    g = gradient(model, np.array([pole]), mode_weight(model, grid, pole))[0]
+    g = gradient(model, np.array([pole]), mode_weight(model, grid, np.array([pole])))[0]
     share = row_shares(model, g.real)
     first = last = int(np.argmax(share))
     best: tuple[float, Remedy] | None = None

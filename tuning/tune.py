@@ -67,14 +67,14 @@ def tune(
         If there is no operating point, or two fundamentals, or not the grid's; if the margin is not positive.
     """
     responses, meta = _opened(table)
-    responses = _chosen(responses, op_ids)
+    responses = chosen(responses, op_ids)
     swept = _swept_grids(meta)
     grids = [own_grid(r, swept.get(r.meta.get("op_id"))) if grid == "own" else grid for r in responses]
     _check(responses, grids, margin, scales)
     bases = meta.get("bases", {})
     points = tuple(
         replace(_judged(device, on.scaled(scale), margin, bases, swept.get(device.op_id)), scale=scale)
-        for device, on in zip(map(_fitted, responses), grids, strict=True)
+        for device, on in zip(map(fitted, responses), grids, strict=True)
         for scale in scales
     )
     return TuningResult(None if grid == "own" else grid, margin, points, _provenance(meta), tuple(scales))
@@ -113,10 +113,10 @@ def tune_point(
     ``bases`` (rated_voltage_v, rated_power_va) give the short-circuit ratio; ``swept_grid`` (r_ohm, x_ohm, scale) is
     the grid whose load flow set |v_pcc| in the sweep, where there was one.
     """
-    return _judged(_fitted(response), grid, margin, bases or {}, swept_grid)
+    return _judged(fitted(response), grid, margin, bases or {}, swept_grid)
 
 
-class _Device(NamedTuple):
+class Device(NamedTuple):
     """An operating point as it is judged on any grid; ``problem`` says why it cannot be."""
 
     response: FrequencyResponse
@@ -130,19 +130,19 @@ class _Device(NamedTuple):
         return str(self.response.meta.get("op_id", ""))
 
 
-def _fitted(response: FrequencyResponse) -> _Device:
+def fitted(response: FrequencyResponse) -> Device:
     """Rows, what was proved of the device, and its rational model: what does not depend on the grid."""
     usable = int(np.sum(response.usable))
     if usable < MIN_POINTS:
         problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
-        return _Device(response, problem=problem)
+        return Device(response, problem=problem)
     rows = rows_of(to_dq(response))
     anchor = anchor_of(response.meta, rows, response.f1_hz)
     model = fit_response(response, n_unstable=anchor.n_unstable)
     misfit = relative_misfit(model, response)
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
-    return _Device(response, rows, anchor, model, problem)
+    return Device(response, rows, anchor, model, problem)
 
 
 def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
@@ -153,7 +153,7 @@ def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
 
 
 def _judged(
-    device: _Device, grid: Grid, margin: float, bases: Mapping[str, Any], swept_grid: Mapping[str, Any] | None
+    device: Device, grid: Grid, margin: float, bases: Mapping[str, Any], swept_grid: Mapping[str, Any] | None
 ) -> PointTuning:
     """The operating point on one grid."""
     response, model = device.response, device.model
@@ -250,7 +250,7 @@ def _opened(table: Table | Sequence[FrequencyResponse]) -> tuple[Sequence[Freque
     return table.responses, table.meta
 
 
-def _chosen(responses: Sequence[FrequencyResponse], op_ids: Iterable[str] | None) -> Sequence[FrequencyResponse]:
+def chosen(responses: Sequence[FrequencyResponse], op_ids: Iterable[str] | None) -> Sequence[FrequencyResponse]:
     if op_ids is None:
         return responses
     by_id = {response.meta.get("op_id"): response for response in responses}

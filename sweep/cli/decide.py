@@ -34,7 +34,8 @@ def tune(
     grid: Annotated[
         str,
         typer.Option(
-            metavar="R+jX|own", help="Grid in ohm at f1, such as 0.012+0.25j; own: the one each point was swept for."
+            metavar="R+jX|FILE|own",
+            help="0.012+0.25j (ohm at f1), a file with a grid, or own: the one each point was swept for.",
         ),
     ],
     scale: Annotated[
@@ -54,15 +55,15 @@ def tune(
 ) -> None:
     """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
     from ...identify.table.read import read_table
+    from ...tuning.grids.open import open_grid
     from ...tuning.result import write_json
-    from ...tuning.siso import parse_grid
     from ...tuning.text import format_table
     from ...tuning.tune import tune as judge
 
     check_outputs(output, force, plot)
     scales = _scales(scale)
-    content = _as_told(read_table(table), stable_on, exclude or ())
-    on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else parse_grid(grid, content.meta["f1_hz"])
+    content = as_told(read_table(table), stable_on, exclude or ())
+    on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
     result = judge(content, on, margin=margin, op_ids=op, scales=scales)
     if confirm:
         from ..confirm import confirm as confirm_gain
@@ -79,7 +80,7 @@ def tune(
         plot_result(result, plot)
 
 
-def _as_told(table: Table, stable_on: str | None, exclude: Sequence[str]) -> Table:
+def as_told(table: Table, stable_on: str | None, exclude: Sequence[str]) -> Table:
     """The table with what the user knows of the device, and without the rows that are to be left out."""
     from ...identify.exclusion import parse_bands, without_bands
     from ...identify.operating_state import stated, with_statement

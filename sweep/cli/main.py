@@ -19,6 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from ...plant.errors import SeqsweepError
+from . import bank as cli_bank
 from . import decide as cli_decide
 from . import faults
 from . import files as cli_files
@@ -50,6 +51,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "show": cli_sweep.show,
     "validate": cli_sweep.validate,
     "tune": cli_decide.tune,
+    "judge": cli_bank.judge,
     "verify": cli_decide.verify,
     "grid": cli_decide.grid,
     "surrogate": cli_region.surrogate,
@@ -137,5 +139,5 @@ def _interrupted() -> int:
 
 
 def _resumes() -> bool:
-    """Whether the command keeps what it has measured: `run` alone does."""
-    return faults.command_line()[0][:1] == ["run"]
+    """Whether the command keeps what it has done: `run` and `judge` do."""
+    return faults.command_line()[0][:1] in (["run"], ["judge"])

@@ -104,7 +104,11 @@ class Memory:
 
 def write(folder: Path, key: str, result: BatchResult) -> None:
     """Keep ``result`` as the shard ``key``."""
-    text = json.dumps({"condition": result.condition, "rows": [_plain(row) for row in result.rows]})
+    keep(folder, key, json.dumps({"condition": result.condition, "rows": [_plain(row) for row in result.rows]}))
+
+
+def keep(folder: Path, key: str, text: str) -> None:
+    """Keep one line of ``text`` as the shard ``key``."""
     temporary = folder / f"{key}.{os.getpid()}.tmp"
     try:
         with open(temporary, "w", encoding="utf-8") as file:
@@ -118,14 +122,20 @@ def write(folder: Path, key: str, result: BatchResult) -> None:
 
 def read(folder: Path, key: str) -> BatchResult | None:
     """The shard ``key``, or None where there is none or it is damaged."""
+    text = kept(folder, key)
+    if text is None:
+        return None
+    content = json.loads(text)
+    return BatchResult(tuple(_row(row) for row in content["rows"]), content["condition"])
+
+
+def kept(folder: Path, key: str) -> str | None:
+    """The line of the shard ``key``, or None where there is none or it is damaged."""
     try:
         checksum, text, _ = (folder / key).read_text(encoding="utf-8").split("\n")
     except (OSError, ValueError):
         return None
-    if checksum != _checksum(key, text):
-        return None
-    content = json.loads(text)
-    return BatchResult(tuple(_row(row) for row in content["rows"]), content["condition"])
+    return text if checksum == _checksum(key, text) else None
 
 
 def keys(folder: Path) -> set[str]:

@@ -318,7 +318,7 @@ def test_shares_of_the_rows_are_largest_at_the_mode() -> None:
     model = fit_response(table(at.y, 1e-2, np.random.default_rng(2)))
     loop = judge(model, at.edge).closed_loop
     pole = complex(loop.poles[loop.critical or 0])
-    g = gradient(model, np.array([pole]), mode_weight(model, at.edge, pole))[0]
+    g = gradient(model, np.array([pole]), mode_weight(model, at.edge, np.array([pole])))[0]
     share = row_shares(model, g.real)
     assert np.sum(share) == pytest.approx(1.0)
     assert model.nu_hz[np.argmax(share)] == pytest.approx(pole.imag / 2.0 / np.pi, rel=0.3)

@@ -17,7 +17,7 @@ SCALE_RANGE = (0.05, 20.0)
 """Multipliers among which the critical one is sought."""
 
 _POINTS = 600
-_REFINED = 40
+_REFINED = 25
 
 
 class ElementEdge(NamedTuple):
@@ -71,50 +71,51 @@ def _scales(model: RationalModel, grid: Grid) -> np.ndarray:
     nu = np.concatenate([np.geomspace(1e-3, end, _POINTS), near / (2.0 * np.pi), model.nu_hz])
     nu = np.unique(nu[(nu > 0.0) & (nu <= end)])
     found = _crossings(model, grid, nu)
-    return np.array([1.0 / -value for value in found if value < 0.0])
+    return -1.0 / found[found < 0.0]
 
 
-def _crossings(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> list[float]:
+def _crossings(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:
     """Real parts of the eigenvalues of Y Z where they cross the negative real axis, those at f1 among them."""
     values = _eigenvalues(model, grid, nu_hz)
-    found = []
-    for branch in values.T:
-        for k in np.flatnonzero(np.diff(np.signbit(branch.imag)) & (np.minimum(branch.real[1:], branch.real[:-1]) < 0)):
-            at = _refined(model, grid, nu_hz[k], nu_hz[k + 1], branch[k], branch[k + 1])
-            if at is not None:
-                found.append(at)
+    passing = np.diff(np.signbit(values.imag), axis=0) & (np.minimum(values.real[1:], values.real[:-1]) < 0.0)
+    k, branch = np.nonzero(passing)
+    found = _refined(model, grid, (nu_hz[k], nu_hz[k + 1]), (values[k, branch], values[k + 1, branch]))
     real = _eigenvalues(model, grid, np.array([1e-6]))[0]
-    return [*found, *(float(v.real) for v in real if abs(v.imag) < 1e-6 * abs(v) and v.real < 0.0)]
+    return np.append(found, real.real[(np.abs(real.imag) < 1e-6 * np.abs(real)) & (real.real < 0.0)])
 
 
-def _eigenvalues(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:
-    """(n, 2) eigenvalues of Y Z, followed from point to point."""
+def _eigenvalues(model: RationalModel, grid: Grid, nu_hz: np.ndarray, followed: bool = True) -> np.ndarray:
+    """(n, 2) eigenvalues of Y Z, each followed from point to point, or in any order."""
     s = 2j * np.pi * nu_hz
     gain = evaluate(model, s) @ grid.impedance_dq(s)
     half = (gain[:, 0, 0] + gain[:, 1, 1]) / 2.0
     root = np.sqrt(half**2 - (gain[:, 0, 0] * gain[:, 1, 1] - gain[:, 0, 1] * gain[:, 1, 0]))
+    if not followed:
+        return np.stack([half + root, half - root], axis=1)
     turned = np.cumprod(np.concatenate([[1.0], np.where((root[1:] * root[:-1].conj()).real < 0.0, -1.0, 1.0)]))
     root = root * turned
     return np.stack([half + root, half - root], axis=1)
 
 
 def _refined(
-    model: RationalModel, grid: Grid, low: float, high: float, before: complex, after: complex
-) -> float | None:
-    """The real value of an eigenvalue where its imaginary part passes zero between two frequencies (Hz)."""
-    for _ in range(_REFINED):
+    model: RationalModel, grid: Grid, nu_hz: tuple[np.ndarray, np.ndarray], values: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """The real values of eigenvalues (m,) where their imaginary parts pass zero between pairs of frequencies (Hz)."""
+    (low, high), (before, after) = nu_hz, values
+    found = before
+    for _ in range(_REFINED if len(low) else 0):
         part = before.imag / (before.imag - after.imag)
-        middle = low + np.clip(part, 0.05, 0.95) * (high - low)
-        both = _eigenvalues(model, grid, np.array([middle]))[0]
-        expected = before + part * (after - before)
-        value = complex(both[np.argmin(np.abs(both - expected))])
-        if abs(value.imag) < 1e-10 * abs(value):
+        at = np.clip(part, 0.02, 0.98)
+        both = _eigenvalues(model, grid, low + at * (high - low), followed=False)
+        nearest = np.argmin(np.abs(both - (before + part * (after - before))[:, None]), axis=1)
+        found = both[np.arange(len(low)), nearest]
+        if np.all(np.abs(found.imag) < 1e-9 * np.abs(found)):
             break
-        if (value.imag < 0.0) == (before.imag < 0.0):
-            low, before = middle, value
-        else:
-            high, after = middle, value
-    return value.real if abs(value.imag) < 1e-4 * abs(value) else None
+        is_low = (found.imag < 0.0) == (before.imag < 0.0)
+        middle = low + at * (high - low)
+        low, before = np.where(is_low, middle, low), np.where(is_low, found, before)
+        high, after = np.where(is_low, high, middle), np.where(is_low, after, found)
+    return found.real[np.abs(found.imag) < 1e-4 * np.abs(found)]
 
 
 # Element by element --------------------------------------------------------------------------------------------------

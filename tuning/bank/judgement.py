@@ -8,49 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ...identify.fit.dq_data import to_dq
-from ...identify.fit.model import MIN_POINTS, fit_response
 from ...identify.fit.rational import RationalModel
-from ...identify.response import FrequencyResponse
 from ...plant.errors import SeqsweepError
-from ..anchor import Anchor, anchor_of
 from ..grid_check import grid_warnings
 from ..grids.promise import Grid
 from ..grids.regions import RegionGrid, exclusion
 from ..poles import ClosedLoop
-from ..rows import Rows, rows_of
-from ..tune import acceptable_misfit, relative_misfit
+from ..tune import Device
 from ..verdict import Stability, judge
 from .edges import ElementEdge, element_edges, scale_at_the_edge
 from .entries import BankEntry
-
-
-@dataclass(frozen=True, slots=True)
-class Device:
-    """One operating point of the device, fitted once for all grids.
-
-    Attributes
-    ----------
-    op_id : str
-        Operating point.
-    f1_hz : float
-        Fundamental (Hz).
-    model, rows, anchor
-        What a verdict is made of; None where there is nothing to judge.
-    point, bases : mapping
-        What is known of the operating point and of the rating.
-    problem : str
-        Why nothing can be judged; empty where it can.
-    """
-
-    op_id: str
-    f1_hz: float
-    model: RationalModel | None
-    rows: Rows | None
-    anchor: Anchor | None
-    point: Mapping[str, Any]
-    bases: Mapping[str, Any]
-    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,38 +78,27 @@ class PairVerdict:
     warnings: tuple[str, ...] = ()
 
 
-def device_of(response: FrequencyResponse, bases: Mapping[str, Any]) -> Device:
-    """An operating point made ready to be judged on many grids."""
-    op_id, f1_hz = str(response.meta.get("op_id", "")), response.f1_hz
-    point = {key: response.meta.get(key) for key in ("active_power_mw", "terminal_voltage_pu", "grid")}
-    usable = int(np.sum(response.usable))
-    if usable < MIN_POINTS:
-        problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
-        return Device(op_id, f1_hz, None, None, None, point, bases, problem)
-    rows = rows_of(to_dq(response))
-    anchor = anchor_of(response.meta, rows, f1_hz)
-    model = fit_response(response, n_unstable=anchor.n_unstable)
-    misfit = relative_misfit(model, response)
-    problem = "" if misfit <= acceptable_misfit(response) else f"no rational model describes the table ({misfit:.1%})"
-    return Device(op_id, f1_hz, model, rows, anchor, point, bases, problem)
-
-
-def judge_pair(device: Device, entry: BankEntry, *, elements: bool = False) -> PairVerdict:
+def judge_pair(device: Device, entry: BankEntry, bases: Mapping[str, Any], *, elements: bool = False) -> PairVerdict:
     """The verdict of one device on one grid. A grid that cannot be read makes a row that says so.
 
-    ``elements`` also seeks the critical value of each element of the grid.
+    ``bases`` is the device's rating; ``elements`` also seeks the critical value of each element of the grid.
     """
     try:
-        grid = entry.open(device.f1_hz)
+        grid = entry.open(device.response.f1_hz)
     except SeqsweepError as error:
         return PairVerdict(entry.grid_id, device.op_id, "failed", reason=str(error), parameters=entry.parameters)
-    if device.model is None or device.rows is None or device.problem:
+    if device.model is None or device.problem:
         return PairVerdict(entry.grid_id, device.op_id, reason=device.problem, parameters=entry.parameters)
-    return _judged(device, device.model, entry, grid, elements)
+    return _judged(device, device.model, entry, grid, bases, elements)
 
 
 def _judged(
-    device: Device, model: RationalModel, entry: BankEntry, grid: Grid | RegionGrid, elements: bool
+    device: Device,
+    model: RationalModel,
+    entry: BankEntry,
+    grid: Grid | RegionGrid,
+    bases: Mapping[str, Any],
+    elements: bool,
 ) -> PairVerdict:
     member = grid.member if isinstance(grid, RegionGrid) else grid
     stability = judge(model, member, device.rows, device.anchor)
@@ -174,7 +130,7 @@ def _judged(
         elements=element_edges(model, member, loop.n_unstable == 0) if elements else (),
         missing_hz=missing,
         parameters=entry.parameters,
-        warnings=(*notes, *grid_warnings(device.point, device.bases, member)),
+        warnings=(*notes, *grid_warnings(device.response.meta, bases, member)),
     )
 
 

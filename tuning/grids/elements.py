@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..network.assembly import Network, assemble, port_impedance
-from ..network.descriptor import Descriptor, Triangular, transfer, triangular
+from ..network.descriptor import Descriptor, Triangular, transfer, transfer_slope, triangular
 from .document import KINDS, PCC, elements_of, in_service, network_of
 from .errors import GridError
 from .promise import OnePort
@@ -63,11 +63,11 @@ class ElementsGrid(OnePort):
 
     def impedance(self, s: np.ndarray) -> np.ndarray:
         """z in ohm; infinite at a pole."""
-        return -self.scale * transfer(self._form, np.asarray(s, dtype=complex))[0]
+        return -self.scale * transfer(self._form, np.asarray(s, dtype=complex))
 
     def slope(self, s: np.ndarray) -> np.ndarray:
         """dz/ds in ohm s."""
-        return -self.scale * transfer(self._form, np.asarray(s, dtype=complex))[1]
+        return -self.scale * transfer_slope(self._form, np.asarray(s, dtype=complex))
 
     @property
     def phase_modes(self) -> np.ndarray:

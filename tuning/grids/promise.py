@@ -165,8 +165,9 @@ class OnePort:
     @property
     def _undamped(self) -> np.ndarray:
         """Modes in dq on the imaginary axis, conjugates included."""
-        modes = self.modes
-        return 1j * modes.imag[np.abs(modes.real) <= UNDAMPED * np.maximum(np.abs(modes), self.w1_rad_s)]
+        own = self.phase_modes
+        w = own.imag[np.abs(own.real) <= UNDAMPED * np.maximum(np.abs(own), self.w1_rad_s)]
+        return 1j * np.concatenate([w - self.w1_rad_s, w + self.w1_rad_s]) if len(w) else np.zeros(0, dtype=complex)
 
     def _beside(self, s: np.ndarray) -> np.ndarray:
         """``s`` (n,), what stands on an undamped mode moved a little to the right of it: Z is infinite there."""

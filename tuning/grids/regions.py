@@ -194,23 +194,40 @@ def _holds(corners: np.ndarray, z: complex) -> bool:
 # Zero outside the hull -----------------------------------------------------------------------------------------------
 
 
+class _Set(NamedTuple):
+    """det(1 + Y Z) at all pairs of corners for one |f - f1|.
+
+    Attributes
+    ----------
+    nu_hz : float
+        |f - f1| (Hz).
+    values : (k,) complex
+        At the pairs.
+    margin : float
+        Distance of zero from their hull less what the device's errors may do; not above zero where it is not excluded.
+    problem : str
+        Why zero is not excluded; empty where it is.
+    """
+
+    nu_hz: float
+    values: np.ndarray
+    margin: float
+    problem: str
+
+
 def exclusion(model: RationalModel, regions: RegionGrid) -> Exclusion:
     """Whether no member of the regions puts a mode on the axis, at any |f - f1| where the device is not passive.
 
     A device that is passive at a frequency cannot oscillate there with a passive grid, whatever its impedance.
     """
-    nu = _active(model)
-    if len(nu) == 0:
+    sets = [_set_at(model, regions, float(nu)) for nu in _active(model)]
+    if not sets:
         return Exclusion(True, 0.0, "")
-    worst = Exclusion(True, float(nu[0]), "")
-    least = np.inf
-    for low, high in pairwise(nu):
-        found, distance = _excluded_between(model, regions, float(low), float(high))
-        if not found.excluded:
-            return found
-        if distance < least:
-            worst, least = found, distance
-    return worst
+    for before, after in pairwise(sets):
+        bad = _between(model, regions, before, after)
+        if bad is not None:
+            return Exclusion(False, bad.nu_hz, bad.problem)
+    return Exclusion(True, min(sets, key=lambda each: each.margin).nu_hz, "")
 
 
 def _active(model: RationalModel) -> np.ndarray:
@@ -225,50 +242,42 @@ def _active(model: RationalModel) -> np.ndarray:
     return nu[max(active[0] - 1, 0) : min(active[-1] + 2, len(nu))]
 
 
-def _excluded_between(
-    model: RationalModel, regions: RegionGrid, low: float, high: float, halvings: int = 0
-) -> tuple[Exclusion, float]:
-    """Zero is outside at both ends, by more than the values move in between; else the interval is halved."""
-    ends = [_values(model, regions, nu) for nu in (low, high)]
-    for nu, end in zip((low, high), ends, strict=True):
-        if isinstance(end, str):
-            return Exclusion(False, nu, end), 0.0
-    (before, error_before), (after, error_after) = ends  # type: ignore[misc]
-    outside, distance = _zero_outside(before)
-    outside_after, distance_after = _zero_outside(after)
-    error = max(error_before, error_after)
-    if not outside or not outside_after or min(distance, distance_after) < STANDARD_ERRORS * error:
-        nu = low if distance < distance_after else high
-        f1 = model.f1_hz
-        return Exclusion(
-            False, nu, f"at {f1 - nu:.4g}/{f1 + nu:.4g} Hz some members of the region may put a mode on the axis"
-        ), 0.0
-    same = len(before) == len(after)
-    if same and np.abs(after - before).max() < 0.5 * (min(distance, distance_after) - STANDARD_ERRORS * error):
-        return Exclusion(True, low, ""), min(distance, distance_after)
-    if halvings >= _MOST_HALVINGS:
-        if same:
-            return Exclusion(False, low, f"near {model.f1_hz + low:.4g} Hz zero cannot be excluded"), 0.0
-        return Exclusion(True, low, ""), min(distance, distance_after)  # a band ends here: both sides were looked at
-    middle = (low + high) / 2.0
-    left, near = _excluded_between(model, regions, low, middle, halvings + 1)
-    if not left.excluded:
-        return left, near
-    right, far = _excluded_between(model, regions, middle, high, halvings + 1)
-    return (left, near) if right.excluded and near < far else (right, far)
+def _between(
+    model: RationalModel, regions: RegionGrid, before: _Set, after: _Set, halvings: int = _MOST_HALVINGS
+) -> _Set | None:
+    """The first set from ``before`` to ``after`` whose hull holds zero; None if none does.
+
+    Sets whose values move by less than half the margin have none between them. What still moves when the interval is
+    a hair's breadth is the end of one region and the beginning of the next.
+    """
+    for each in (before, after):
+        if each.problem:
+            return each
+    same = len(before.values) == len(after.values)
+    near = same and np.abs(after.values - before.values).max() < 0.5 * min(before.margin, after.margin)
+    if near or halvings == 0:
+        return None
+    middle = _set_at(model, regions, (before.nu_hz + after.nu_hz) / 2.0)
+    left = _between(model, regions, before, middle, halvings - 1)
+    return left if left is not None else _between(model, regions, middle, after, halvings - 1)
 
 
-def _values(model: RationalModel, regions: RegionGrid, nu_hz: float) -> tuple[np.ndarray, float] | str:
-    """det(1 + Y Z) at all pairs of corners, and its largest standard error; or why there is none."""
+def _set_at(model: RationalModel, regions: RegionGrid, nu_hz: float) -> _Set:
+    """The values at all pairs of corners, and whether zero is outside their hull for certain."""
     f1 = model.f1_hz
     first, mirror = regions.corners_at(f1 + nu_hz), regions.corners_at(abs(f1 - nu_hz))
     if first is None or mirror is None:
         where = f1 + nu_hz if first is None else abs(f1 - nu_hz)
-        return f"no region is given at {where:.4g} Hz, where the device is not passive"
+        problem = f"no region is given at {where:.4g} Hz, where the device is not passive"
+        return _Set(nu_hz, np.zeros(0, dtype=complex), 0.0, problem)
     z1, z2 = (each.ravel() for each in np.meshgrid(first, _of_mirror(mirror, nu_hz, f1)))
     y = evaluate_pn(model, np.array([f1 + nu_hz]))[0]
     values = (1.0 + y[0, 0] * z1) * (1.0 + y[1, 1] * z2) - y[0, 1] * y[1, 0] * z1 * z2
-    return values, _standard_error(model, nu_hz, y, z1, z2)
+    _, distance = _zero_outside(values)
+    margin = distance - STANDARD_ERRORS * _standard_error(model, nu_hz, y, z1, z2)
+    place = f"{f1 - nu_hz:.4g}/{f1 + nu_hz:.4g} Hz"
+    problem = "" if margin > 0.0 else f"at {place} some members of the region may put a mode on the axis"
+    return _Set(nu_hz, values, margin, problem)
 
 
 def _of_mirror(corners: np.ndarray, nu_hz: float, f1_hz: float) -> np.ndarray:

@@ -149,7 +149,7 @@ def _relocated(rows: _Rows, poles: np.ndarray, at_zero: bool) -> np.ndarray | No
     block = np.concatenate([block.real, block.imag])
     norm = np.linalg.norm(block, axis=0)
     norm[norm == 0.0] = 1.0
-    upper = np.linalg.qr(block / norm, mode="r")[phi.shape[1] :, phi.shape[1] :]
+    upper = np.asarray(np.linalg.qr(block / norm, mode="r"))[phi.shape[1] :, phi.shape[1] :]
     scale = np.linalg.norm(rows.weight * rows.z) / len(rows.s)
     last = scale * sigma.real.sum(axis=0) / norm[phi.shape[1] :]
     a = np.concatenate([upper, last[None]])

@@ -57,19 +57,15 @@ class Triangular(NamedTuple):
         Q^H B.
     c : (n,) complex
         C Z.
+    poles : (m,) complex
+        Finite eigenvalues of the pencil (rad/s).
     """
 
     t: np.ndarray
     s: np.ndarray
     b: np.ndarray
     c: np.ndarray
-
-    @property
-    def poles(self) -> np.ndarray:
-        """Finite eigenvalues (m,) of the pencil (rad/s)."""
-        t, s = np.diagonal(self.t), np.diagonal(self.s)
-        finite = np.abs(s) * _INFINITE > np.abs(t)
-        return t[finite] / s[finite]
+    poles: np.ndarray
 
 
 def triangular(system: Descriptor) -> Triangular:
@@ -82,15 +78,22 @@ def triangular(system: Descriptor) -> Triangular:
     columns = 1.0 / np.maximum(np.abs(a).max(axis=0), np.abs(e).max(axis=0) * 300.0)
     e, a, c = e * columns, a * columns, c * columns
     t, s, q, z = qz(a, e, output="complex")
-    return Triangular(t, s, q.conj().T @ b[:, 0], c[0] @ z)
+    finite = np.abs(np.diagonal(s)) * _INFINITE > np.abs(np.diagonal(t))
+    poles = np.diagonal(t)[finite] / np.diagonal(s)[finite]
+    return Triangular(t, s, q.conj().T @ b[:, 0], c[0] @ z, poles)
 
 
-def transfer(form: Triangular, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """y(s) = C (s E - A)^-1 B and its derivative by s, both (k,), at complex ``s`` (k,) in rad/s."""
+def transfer(form: Triangular, s: np.ndarray) -> np.ndarray:
+    """y(s) = C (s E - A)^-1 B, (k,), at complex ``s`` (k,) in rad/s."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return form.c @ _solved(form, s, np.broadcast_to(form.b[:, None], (len(form.b), len(s))))
+
+
+def transfer_slope(form: Triangular, s: np.ndarray) -> np.ndarray:
+    """Derivative of `transfer` by s, (k,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         x = _solved(form, s, np.broadcast_to(form.b[:, None], (len(form.b), len(s))))
-        slope = -_solved(form, s, form.s @ x)
-        return form.c @ x, form.c @ slope
+        return -form.c @ _solved(form, s, form.s @ x)
 
 
 def _solved(form: Triangular, s: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -156,7 +156,7 @@ BAD = {
     "unlike.csv": (lines("f [Hz],R1,X1,R2,X2", F, Z.real, Z.imag, 2 * Z.real, 2 * Z.imag), "differ by"),
     "bare.csv": ("\n".join(lines("", F, Z.real, Z.imag).splitlines()[1:]) + "\n", "without headings"),
     "per_unit.csv": (lines("f [Hz],R [pu],X [pu]", F, Z.real, Z.imag), "the base is not in the table"),
-    "words.csv": ("f [Hz],R [ohm],X [ohm]\nall,is,well\n", "no table of numbers"),
+    "words.csv": ("f [Hz],R [ohm],X [ohm]\nall,is,well\n", "no rows of numbers"),
 }
 
 

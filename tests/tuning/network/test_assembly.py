@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from seqsweep.tuning.network.assembly import GROUND, Branch, Line, Network, assemble, port_impedance
-from seqsweep.tuning.network.descriptor import rotating, transfer, triangular
+from seqsweep.tuning.network.descriptor import rotating, transfer, transfer_slope, triangular
 from seqsweep.tuning.network.equipment import between, high_pass, pi_line, single_tuned, transformer
 
 W1 = 2.0 * np.pi * 50.0
@@ -40,7 +40,7 @@ def test_a_ladder_is_its_continued_fraction() -> None:
 
 def test_the_triangular_form_says_the_same_and_its_slope_is_the_derivative() -> None:
     form = triangular(assemble(ladder(), ["a"]))
-    value, slope = transfer(form, S)
+    value, slope = transfer(form, S), transfer_slope(form, S)
     np.testing.assert_allclose(-value, ladder_by_hand(S), rtol=1e-11)
     step = 1e-5 * np.abs(S)
     expected = (ladder_by_hand(S + step) - ladder_by_hand(S - step)) / (2.0 * step)

@@ -1,0 +1,121 @@
+"""What `seqsweep judge` says: one sentence on all, the worst pairs, and what would settle the open ones."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ...tuning.bank.judgement import PairVerdict
+from ...tuning.probability import DECIDED
+
+SHOWN = 12
+"""Pairs that the terminal shows."""
+
+
+def report_text(verdicts: Sequence[PairVerdict], f1_hz: float, width: int) -> str:
+    """The report for a terminal so many characters wide."""
+    lines = [summary(verdicts, f1_hz), "", *_table(verdicts[:SHOWN], f1_hz)]
+    if len(verdicts) > SHOWN:
+        lines.append(f"... and {len(verdicts) - SHOWN} more: -o judge.parquet holds them all")
+    lines += ["", *_settling(verdicts, f1_hz), *_edges(verdicts), *_failures(verdicts)]
+    return "\n".join(_wrapped(lines, width))
+
+
+def summary(verdicts: Sequence[PairVerdict], f1_hz: float) -> str:
+    """``Stable on 398 of 400 grids ...``, and the weakest pair."""
+    grids = {v.grid_id for v in verdicts}
+    points = {v.op_id for v in verdicts}
+    by_grid = {g: [v for v in verdicts if v.grid_id == g] for g in grids} if len(points) > 1 else None
+    stable = (
+        sum(v.verdict == "stable" for v in verdicts)
+        if by_grid is None
+        else sum(all(v.verdict == "stable" for v in of) for of in by_grid.values())
+    )
+    counts = ", ".join(
+        f"{n} {name}"
+        for name, n in (
+            ("unstable", sum(v.verdict == "unstable" for v in verdicts)),
+            ("undecided", sum(v.verdict == "undecided" and v.status == "ok" for v in verdicts)),
+            ("not readable", sum(v.status != "ok" for v in verdicts)),
+        )
+        if n
+    )
+    at = "" if len(points) == 1 else f" at all {len(points)} operating points"
+    text = f"Stable on {stable} of {len(grids)} grids{at}, each with a probability of {DECIDED:.0%} or more"
+    text += f"; of {len(verdicts)} pairs {counts}." if counts else "."
+    weakest = next((v for v in verdicts if v.status == "ok" and v.re_rad_s is not None), None)
+    return (
+        text
+        if weakest is None
+        else f"{text} Weakest: grid {weakest.grid_id} at {weakest.op_id}, {mode(weakest, f1_hz)}."
+    )
+
+
+def mode(verdict: PairVerdict, f1_hz: float) -> str:
+    """The deciding mode in words."""
+    if verdict.re_rad_s is None or verdict.im_rad_s is None:
+        return "no mode"
+    nu = abs(verdict.im_rad_s) / (2.0 * np.pi)
+    place = "an aperiodic mode" if nu == 0.0 else f"{abs(f1_hz - nu):.4g}/{f1_hz + nu:.4g} Hz"
+    return f"{place}, Re {verdict.re_rad_s:+.3g} rad/s"
+
+
+def _table(verdicts: Sequence[PairVerdict], f1_hz: float) -> list[str]:
+    head = ("grid", "op", "verdict", "P stable", "m", "mode Hz", "Re rad/s", "damping", "Z crit")
+    rows = [head, *(_row(v, f1_hz) for v in verdicts)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [lines[0], "  ".join("-" * w for w in widths), *lines[1:]]
+
+
+def _row(v: PairVerdict, f1_hz: float) -> tuple[str, ...]:
+    nu = None if v.im_rad_s is None else abs(v.im_rad_s) / (2.0 * np.pi)
+    return (
+        _short(v.grid_id),
+        _short(v.op_id),
+        v.verdict if v.status == "ok" else v.status,
+        "-" if v.probability is None else f"{v.probability:.3g}",
+        "-" if v.margin_m is None else f"{v.margin_m:.3f}",
+        "-" if nu is None else f"{f1_hz - nu:.1f}/{f1_hz + nu:.1f}",
+        "-" if v.re_rad_s is None else f"{v.re_rad_s:+.3g}",
+        "-" if v.damping is None else f"{100.0 * v.damping:.1f} %",
+        "-" if v.critical_scale is None else f"x{v.critical_scale:.3f}",
+    )
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 28 else f"{text[:12]}...{text[-13:]}"
+
+
+def _settling(verdicts: Sequence[PairVerdict], f1_hz: float) -> Iterator[str]:
+    """What would settle the undecided pairs."""
+    for v in [v for v in verdicts if v.status == "ok" and v.verdict == "undecided"][:3]:
+        yield f"{v.grid_id} at {v.op_id} is undecided: {v.reason}"
+
+
+def _edges(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
+    """The critical value of each element of the worst pair that has any."""
+    worst = next((v for v in verdicts if v.elements), None)
+    if worst is None:
+        return
+    parts = [
+        f"{e.element} {e.key} {e.value:.4g} -> {'no edge in reach' if e.critical is None else f'{e.critical:.4g}'}"
+        for e in worst.elements
+    ]
+    yield f"Edge of {worst.grid_id} at {worst.op_id}, one element varied at a time: {'; '.join(parts)}"
+
+
+def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
+    failed = list({v.grid_id: v for v in verdicts if v.status != "ok"}.values())
+    for v in failed[:5]:
+        yield f"{v.grid_id}: {v.reason}"
+    if len(failed) > 5:
+        yield f"... and {len(failed) - 5} more grids that could not be read"
+
+
+def _wrapped(lines: Sequence[str], width: int) -> Iterator[str]:
+    for line in lines:
+        is_table = "  " in line.strip() or set(line) <= {"-", " "}
+        yield from [line] if is_table else textwrap.wrap(line, max(width, 40), subsequent_indent="  ") or [""]

@@ -1,0 +1,98 @@
+"""The command for a bank of grids: judge."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
+
+LINE_S = 5.0
+"""Seconds between lines of progress."""
+
+
+def judge(
+    table: TableFile,
+    grids: Annotated[
+        Path, typer.Option(metavar="BANK", help="A folder, a family.toml, a Parquet file, or one file of a grid.")
+    ],
+    op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="JUDGE.parquet", help="Write one row per pair.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Map and damping: .png, .svg, .pdf.")] = None,
+    elements: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Critical value of each element, of the N worst pairs.")
+    ] = 5,
+    stable_on: StableOn = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="HZ-HZ", help="Leave these rows out, such as 50-70; repeatable.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers.")] = os.cpu_count() or 1,
+    force: Force = False,
+) -> None:
+    """Every operating point on every grid of a bank, the worst first. Interrupted, the same command goes on."""
+    from ...identify.table.read import read_table
+    from ...tuning.bank.entries import bank_of
+    from ...tuning.tune import chosen
+    from ..bank.judge import judge_bank
+    from ..bank.report import report_text
+    from .decide import as_told
+
+    check_outputs(output, force, plot)
+    content = as_told(read_table(table), stable_on, exclude or ())
+    responses = chosen(content.responses, op)
+    entries = bank_of(grids)
+    digest = f"{content.meta['sha256']} {stable_on} {exclude} {[r.meta.get('op_id') for r in responses]}"
+    verdicts = judge_bank(
+        responses,
+        content.meta.get("bases", {}),
+        digest,
+        entries,
+        output=output,
+        jobs=jobs,
+        elements=elements,
+        discard=force,
+        report=_progress(),
+    )
+    f1_hz = responses[0].f1_hz
+    typer.echo(report_text(verdicts, f1_hz, shutil.get_terminal_size((100, 24)).columns))
+    if output is not None:
+        from ..bank.table import write_judge
+        from ..run import shards
+
+        write_judge(verdicts, f1_hz, output, {"table_sha256": content.meta["sha256"], "grids": len(entries)})
+        shards.remove(shards.folder_of(output))
+    if plot is not None:
+        from ..bank.figure import plot_bank
+
+        plot_bank(verdicts, f1_hz, plot)
+    if any(v.status != "ok" for v in verdicts):
+        raise typer.Exit(NOT_ALL_OK)
+
+
+def _progress() -> Callable[[int, int], None]:
+    """A line on stderr now and then."""
+    begin = last = time.monotonic()
+    first = -1
+
+    def report(done: int, total: int) -> None:
+        nonlocal last, first
+        now = time.monotonic()
+        if first < 0:
+            first = done
+            if done:
+                print(f"{done}/{total} pairs are kept from before", file=sys.stderr, flush=True)
+        if now - last >= LINE_S and done > first:
+            left = (now - begin) / (done - first) * (total - done)
+            print(f"{done}/{total} pairs, about {left:.0f} s left", file=sys.stderr, flush=True)
+            last = now
+
+    return report

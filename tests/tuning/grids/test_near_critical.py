@@ -1,0 +1,147 @@
+"""Random grids near the edge of stability, a swept device: verdict, count of unstable poles and pole against the truth.
+
+The truth is a tableau of device and network (`tests.support.networks`). `test_..._evidence` is the trial in full, with
+a new seed; it prints its figures.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.response import FrequencyResponse
+from seqsweep.plant.turbine.reference import ReferenceTurbine
+from seqsweep.tuning.grids.elements import elements_grid
+from seqsweep.tuning.grids.scalar_fit import fit_impedance
+from seqsweep.tuning.siso import Grid
+from seqsweep.tuning.tune import Device, fitted
+from seqsweep.tuning.verdict import Stability, judge
+from tests.support import oracle
+from tests.support.networks import F1_HZ, KINDS, NearCritical, impedance_of, near_critical
+from tests.support.sweeps import planned, rows_of, y_of
+
+P_W, U_V = 0.65e6, 690.0
+NU_HZ = np.geomspace(0.4, 1950.0, 100)
+WITHIN = 2e-4
+"""How far the critical pole may be from the truth (rad/s)."""
+
+
+@pytest.fixture(scope="module")
+def linear() -> oracle.Linear:
+    return oracle.linearise(P_W, U_V)
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    """The reference turbine really swept, 100 rows, logarithmic in |f - f1|."""
+    f_hz = sorted({round(F1_HZ + float(nu), 2) for nu in NU_HZ})
+    plant = ReferenceTurbine()
+    rows = rows_of(plant, planned(plant, f_hz=f_hz, injection={"amplitude_pu": 0.0005}))
+    f = np.array([row.f_hz for row in rows])
+    meta = {"op_id": "p065", "stable_on": {"grid": "ideal", "basis": "shots"}}
+    return fitted(FrequencyResponse(f, y_of(rows), F1_HZ, meta=meta))
+
+
+def cases(linear: oracle.Linear, seed: int, n: int) -> Iterator[NearCritical]:
+    rng = np.random.default_rng(seed)
+    for k in range(n):
+        yield near_critical(rng, linear, KINDS[k % len(KINDS)])
+
+
+def tabulated(case: NearCritical, rows: int, noise: float, rng: np.random.Generator) -> Grid:
+    """The case's grid as a table of Z(f), 1 to 2500 Hz."""
+    f = np.geomspace(1.0, 2500.0, rows)
+    z = impedance_of(case.document, 2j * np.pi * f, case.scale)
+    if noise == 0.0:
+        return fit_impedance(f, z, F1_HZ)
+    size = noise * np.abs(z) / np.sqrt(2.0)
+    z = z + size * (rng.standard_normal(rows) + 1j * rng.standard_normal(rows))
+    return fit_impedance(f, z, F1_HZ, std=noise * np.abs(z))
+
+
+def judged(device: Device, grid: Grid) -> Stability:
+    assert device.model is not None
+    return judge(device.model, grid, device.rows, device.anchor)
+
+
+def test_elements_are_judged_and_counted_right_and_their_pole_is_the_truth(
+    device: Device, linear: oracle.Linear
+) -> None:
+    for case in cases(linear, 4, 20):
+        stability = judged(device, elements_grid(case.document, F1_HZ).scaled(case.scale))
+        n_unstable = int(np.sum(case.poles.real > 0.0))
+        assert stability.verdict in ("undecided", "stable" if case.stable else "unstable"), case
+        assert stability.closed_loop.n_unstable == n_unstable
+        assert stability.n_open_loop_unstable - stability.winding.number == n_unstable
+        assert np.abs(stability.closed_loop.poles - case.critical).min() < WITHIN
+
+
+@pytest.mark.parametrize(("rows", "noise"), [(100, 0.0), (25, 0.0), (60, 1e-3), (60, 1e-2)])
+def test_no_table_of_z_is_judged_wrong(rows: int, noise: float, device: Device, linear: oracle.Linear) -> None:
+    rng = np.random.default_rng(9)
+    for case in cases(linear, 5, 10):
+        stability = judged(device, tabulated(case, rows, noise, rng))
+        sure = stability.probability if not case.stable else 1.0 - stability.probability
+        wrong = stability.verdict == ("unstable" if case.stable else "stable")
+        assert not (wrong and sure > 0.999), (case, stability.reason)
+        if noise == 0.0:
+            assert not wrong
+            assert np.abs(stability.closed_loop.poles - case.critical).min() < WITHIN
+
+
+def test_a_lossless_inductance_and_a_lossless_series_capacitor_need_no_hint(
+    device: Device, linear: oracle.Linear
+) -> None:
+    """Poles and zeros of Z on the axis: counts of locus, poles and truth agree."""
+    from tests.support.networks import poles_of, tableau_of
+
+    for x_c in (0.02, 0.1, 0.18):
+        document = {
+            "element": [
+                {"kind": "series", "r_ohm": 0.0, "x_ohm": 0.3},
+                {"kind": "series_capacitor", "x_ohm": x_c},
+            ]
+        }
+        truth = poles_of(linear, tableau_of(document))
+        stability = judged(device, elements_grid(document, F1_HZ))
+        n_unstable = int(np.sum(truth.real > 0.0))
+        assert stability.closed_loop.n_unstable == n_unstable
+        assert stability.n_open_loop_unstable - stability.winding.number == n_unstable
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize(
+    ("rows", "noise", "most_undecided"),
+    [(0, 0.0, 0.10), (100, 0.0, 0.10), (60, 0.0, 0.05), (25, 0.0, 1.0), (60, 1e-3, 0.10), (60, 1e-2, 0.35)],
+)
+def test_near_critical_grids_evidence(
+    rows: int, noise: float, most_undecided: float, device: Device, linear: oracle.Linear
+) -> None:
+    """200 grids, or as many as SEQSWEEP_TRIALS says; rows = 0: as elements."""
+    seed = int(np.random.SeedSequence().entropy % 2**31)
+    rng, n = np.random.default_rng(seed), int(os.environ.get("SEQSWEEP_TRIALS", "200"))
+    wrong = undecided = miscounted = 0
+    errors = []
+    for case in cases(linear, seed, n):
+        exact = elements_grid(case.document, F1_HZ).scaled(case.scale)
+        stability = judged(device, exact if rows == 0 else tabulated(case, rows, noise, rng))
+        true = "stable" if case.stable else "unstable"
+        n_unstable = int(np.sum(case.poles.real > 0.0))
+        by_locus = stability.n_open_loop_unstable - stability.winding.number
+        miscounted += by_locus != n_unstable or stability.closed_loop.n_unstable != n_unstable
+        undecided += stability.verdict == "undecided"
+        wrong += stability.verdict not in ("undecided", true)
+        errors.append(np.abs(stability.closed_loop.poles - case.critical).min())
+    median, high, worst = np.quantile(errors, [0.5, 0.95, 1.0])
+    print(
+        f"seed {seed}, {n} grids, rows {rows}, noise {noise:g}: {wrong} wrong, {undecided} undecided, {miscounted} "
+        f"miscounted, pole error {median:.1e} / {high:.1e} / {worst:.1e} rad/s (median, 95 %, largest)"
+    )
+    assert wrong == 0 if noise == 0.0 else wrong <= 0.01 * n
+    assert undecided <= most_undecided * n
+    if noise == 0.0:
+        assert miscounted == 0
+        assert rows not in (0, 100) or worst < WITHIN
