@@ -110,11 +110,16 @@ def f_r_of(point: PointTuning) -> float:
 
 
 def mode_of(point: PointTuning) -> tuple[complex, float]:
-    """Critical pole (rad/s, dq) and its damping ratio."""
+    """The paper's resonance (rad/s, dq) and its damping ratio: the least damped mode from 5 Hz to f1.
+
+    The notch of the damping control has a mode of its own at 2 f1, less damped than what it damps; the paper's
+    figures are about the other one.
+    """
     assert point.stability is not None
     loop = point.stability.closed_loop
-    assert loop.critical is not None
-    return complex(loop.poles[loop.critical]), float(loop.damping[loop.critical])
+    among = np.flatnonzero((loop.f_hz > 5.0) & (loop.f_hz < loop.f1_hz) & ~loop.beyond)
+    k = int(among[np.argmin(loop.damping[among])])
+    return complex(loop.poles[k]), float(loop.damping[k])
 
 
 def moved_poles(point: PointTuning) -> np.ndarray:
@@ -128,8 +133,9 @@ def moved_poles(point: PointTuning) -> np.ndarray:
 
 def pair_of(point: PointTuning) -> tuple[float, float]:
     """The mode in phase quantities (Hz)."""
-    assert point.resonance_hz is not None
-    return point.resonance_hz
+    assert point.stability is not None
+    f1_hz, nu_hz = point.stability.closed_loop.f1_hz, mode_of(point)[0].imag / (2.0 * np.pi)
+    return f1_hz - nu_hz, f1_hz + nu_hz
 
 
 def crossing_of(point: PointTuning) -> tuple[float, float]:
