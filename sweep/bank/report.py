@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -19,7 +20,7 @@ def report_text(verdicts: Sequence[PairVerdict], f1_hz: float, width: int) -> st
     lines = [summary(verdicts, f1_hz), "", *_table(verdicts[:SHOWN], f1_hz)]
     if len(verdicts) > SHOWN:
         lines.append(f"... and {len(verdicts) - SHOWN} more: -o judge.parquet holds them all")
-    lines += ["", *_settling(verdicts, f1_hz), *_edges(verdicts), *_failures(verdicts)]
+    lines += ["", *_settling(verdicts), *_edges(verdicts), *_warnings(verdicts), *_failures(verdicts)]
     return "\n".join(_wrapped(lines, width))
 
 
@@ -46,11 +47,19 @@ def summary(verdicts: Sequence[PairVerdict], f1_hz: float) -> str:
     text = f"Stable on {stable} of {len(grids)} grids{at}, each with a probability of {DECIDED:.0%} or more"
     text += f"; of {len(verdicts)} pairs {counts}." if counts else "."
     weakest = next((v for v in verdicts if v.status == "ok" and v.re_rad_s is not None), None)
-    return (
-        text
-        if weakest is None
-        else f"{text} Weakest: grid {weakest.grid_id} at {weakest.op_id}, {mode(weakest, f1_hz)}."
-    )
+    if weakest is None:
+        return text
+    return f"{text} Weakest: grid {weakest.grid_id}{_varied(weakest)} at {weakest.op_id}, {mode(weakest, f1_hz)}."
+
+
+def _varied(verdict: PairVerdict) -> str:
+    """What the family gave a grid, in brackets."""
+    parts = [f"{key} = {_number(value)}" for key, value in verdict.parameters.items()]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _number(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) or not isinstance(value, int | float) else f"{value:.4g}"
 
 
 def mode(verdict: PairVerdict, f1_hz: float) -> str:
@@ -89,7 +98,7 @@ def _short(text: str) -> str:
     return text if len(text) <= 28 else f"{text[:12]}...{text[-13:]}"
 
 
-def _settling(verdicts: Sequence[PairVerdict], f1_hz: float) -> Iterator[str]:
+def _settling(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     """What would settle the undecided pairs."""
     for v in [v for v in verdicts if v.status == "ok" and v.verdict == "undecided"][:3]:
         yield f"{v.grid_id} at {v.op_id} is undecided: {v.reason}"
@@ -107,6 +116,13 @@ def _edges(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     yield f"Edge of {worst.grid_id} at {worst.op_id}, one element varied at a time: {'; '.join(parts)}"
 
 
+def _warnings(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
+    """What the reader should know, each remark once, those of most pairs first."""
+    counts = Counter(text for v in verdicts for text in v.warnings)
+    for text, count in counts.most_common(3):
+        yield f"{count} of {len(verdicts)} pairs: {text}"
+
+
 def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     failed = list({v.grid_id: v for v in verdicts if v.status != "ok"}.values())
     for v in failed[:5]:
@@ -117,5 +133,5 @@ def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
 
 def _wrapped(lines: Sequence[str], width: int) -> Iterator[str]:
     for line in lines:
-        is_table = "  " in line.strip() or set(line) <= {"-", " "}
+        is_table = "  " in line.strip()
         yield from [line] if is_table else textwrap.wrap(line, max(width, 40), subsequent_indent="  ") or [""]
