@@ -1,4 +1,4 @@
-"""The benchmark of the verdict: its truth against published numbers and second opinions."""
+"""The benchmark of the verdict: its truth, and the first three hundred of its cases."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from verdict_families.calibration import Stated, bins
+from verdict_families.cases import cases_of
 from verdict_families.following import Following, draw_following, linear_following
 from verdict_families.forming import DROOP, STIFF, Forming, draw_forming, linear_forming
 from verdict_families.linear import Bases, J, Linear, pade, parallel
 from verdict_families.rational_devices import draw_rational
 from verdict_families.sampled_devices import draw_sampled
+from verdict_families.score import line_of
 from verdict_families.sweeping import swept
 from verdict_families.swept_plants import LinearPlant, SampledPlant
 from verdict_families.tables import T_PN
@@ -230,3 +232,17 @@ def test_bins_hold_what_is_calibrated_and_show_what_is_not() -> None:
     bold = [Stated(k, float(x), bool(rng.random() < 0.5), "") for k, x in enumerate(p)]
     assert sum(b.held for b in bins(honest)) >= 9
     assert sum(b.held for b in bins(bold)) <= 3
+
+
+# Verdicts --------------------------------------------------------------------------------------------------------
+
+SEED = 12
+"""Of the part that every change is tried on; `make evidence` takes a new one each time."""
+
+
+@pytest.mark.parametrize("first", range(0, 100, 5))
+def test_no_verdict_is_wrong(first: int, tmp_path: Path) -> None:
+    """Five tables, one of each family, on three grids each; a verdict may be withheld, but not be wrong."""
+    cases = [case for index in range(first, first + 5) for case in cases_of(SEED, index, 0.15, 3, tmp_path)]
+    assert [line_of(c) for c in cases if c.wrong and not c.truth.hidden] == []
+    assert [line_of(c) for c in cases if c.said.verdict == "crash"] == []
