@@ -15,8 +15,8 @@ import numpy as np
 
 from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
-from ..tuning.gain import GainSearch, search_gain
-from ..tuning.result import PointTuning, TuningResult, confirmed
+from ..tuning.gain import GainSearch, search_gain, search_signed
+from ..tuning.result import PointTuning, TuningResult, confirmed, confirmed_signed, defeated
 from ..tuning.siso import SeriesRL
 from ..tuning.tune import tune_point
 from .config.sections import Config
@@ -25,6 +25,11 @@ from .run.campaign import sweep_in_memory
 from .run.host import plant_or_card
 
 Report = Callable[[str], None]
+Resweep = Callable[..., PointTuning]
+"""(operating point, k[, impedance of its own]) to the device re-swept with damping, judged on its grid."""
+
+OWN_REACTANCE_PU = 0.05
+"""What a signed gain of one multiplies, at the resonance."""
 
 
 class ConfirmError(SeqsweepError):
@@ -64,11 +69,49 @@ def confirm(
             "damping control is set by the R and L of a grid; this one is another network: tune on its R+jX at f1"
         )
     swept = _resweeps(config, result.margin_required, jobs, report)
-    searches = _common_gain(todo, result.margin_required, lambda point, k: measured_margin(swept(point, k)))
-    for point in todo:
+    by_formula = [point for point in todo if point.k is not None]
+    searches = _common_gain(by_formula, result.margin_required, lambda point, k: measured_margin(swept(point, k)))
+    for point in by_formula:
         search = searches[_key(point)]
-        result = confirmed(result, point, search, swept(point, search.k))
+        if not any(np.isfinite(m) for _, m in search.trials):
+            result = defeated(result, point, f"with every k tried {swept(point, search.k).reason}")
+        else:
+            result = confirmed(result, point, search, swept(point, search.k))
+    for point in todo:
+        if point.k is None and point.verdict != "stable":
+            result = _signed(result, point, config, swept)
     return result
+
+
+def _signed(result: TuningResult, point: PointTuning, config: Config, swept: Resweep) -> TuningResult:
+    """The result with a gain of either sign on an impedance of its own, where the paper's formula says nothing."""
+    own = _own_impedance(config, point)
+    try:
+        search = search_signed(lambda k: growth_of(swept(point, k, own)))
+    except ConfirmError as refusal:
+        return defeated(result, point, str(refusal))
+    return confirmed_signed(result, point, search, own, swept(point, search.k, own))
+
+
+def growth_of(point: PointTuning) -> float:
+    """Largest growth rate (1/s) of a judged loop's mode that decides; infinite where it could not be judged."""
+    if point.stability is None or point.verdict == "undecided":
+        return float("inf")
+    loop = point.stability.closed_loop
+    if point.verdict == "unstable":
+        return max(float(np.max(loop.poles.real)), 1e-9)
+    rates = loop.poles.real if loop.critical is None else loop.poles.real[loop.critical]
+    return min(float(np.max(rates)), -1e-9)
+
+
+def _own_impedance(config: Config, point: PointTuning) -> SeriesRL:
+    """A reactance of `OWN_REACTANCE_PU` at the frequency that the damping control is set to."""
+    rating = plant_or_card(config).rating
+    assert point.f_r_hz is not None
+    assert isinstance(point.grid, SeriesRL)
+    f1_hz = point.grid.f1_hz
+    x_ohm = OWN_REACTANCE_PU * rating.voltage_v**2 / rating.power_va
+    return SeriesRL(0.0, x_ohm * f1_hz / abs(point.f_r_hz), f1_hz)
 
 
 def _key(point: PointTuning) -> tuple[str, float]:
@@ -114,19 +157,23 @@ def _campaign(configuration: Mapping[str, Any]) -> Config:
     return Config.from_dict(configuration)
 
 
-def _resweeps(
-    config: Config, required: float, jobs: int, report: Report
-) -> Callable[[PointTuning, float], PointTuning]:
-    """An operating point swept with damping gain k and judged on its grid; kept, for a sweep is not asked twice."""
-    known: dict[tuple[str, float, float], PointTuning] = {}
+def _resweeps(config: Config, required: float, jobs: int, report: Report) -> Resweep:
+    """An operating point swept with damping gain k and judged on its grid; kept, for a sweep is not asked twice.
 
-    def swept(point: PointTuning, k: float) -> PointTuning:
-        key = (point.op_id, point.scale, k)
+    k multiplies the impedance of the grid, or one of its own.
+    """
+    known: dict[tuple[str, float, float, SeriesRL | None], PointTuning] = {}
+
+    def swept(point: PointTuning, k: float, own: SeriesRL | None = None) -> PointTuning:
+        key = (point.op_id, point.scale, k, own)
         if key not in known:
             assert isinstance(point.grid, SeriesRL)
-            known[key] = judged_with(config, point.op_id, point.grid, k, point.f_r_hz, jobs, required)
+            known[key] = judged_with(config, point.op_id, point.grid, k, point.f_r_hz, jobs, required, own)
             at = f" x{point.scale:g}" if point.scale != 1.0 else ""
-            report(f"{point.op_id}{at}: k = {k:.4f} gives m = {measured_margin(known[key]):.4f}")
+            gives = f"m = {measured_margin(known[key]):.4f}"
+            if own is not None:
+                gives = f"{known[key].verdict}, growth {growth_of(known[key]):+.3g} rad/s"
+            report(f"{point.op_id}{at}: k = {k:.4f} gives {gives}")
         return known[key]
 
     return swept
@@ -145,12 +192,23 @@ def measured_margin(point: PointTuning) -> float:
 
 
 def judged_with(
-    config: Config, op_id: str, grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int, margin: float = 1.4
+    config: Config,
+    op_id: str,
+    grid: SeriesRL,
+    k: float,
+    f_r_hz: float | None,
+    jobs: int,
+    margin: float = 1.4,
+    own: SeriesRL | None = None,
 ) -> PointTuning:
-    """The device swept with damping gain ``k``, judged on ``grid``; "undecided" where half of its rows are not ok."""
-    response = sweep_with_damping(config, op_id, grid, k, f_r_hz, jobs)
+    """The device swept with damping gain ``k``, judged on ``grid``; "undecided" where half of its rows are not ok.
+
+    ``k`` multiplies ``own``, or the grid if there is none.
+    """
+    response = sweep_with_damping(config, op_id, own or grid, k, f_r_hz, jobs)
     if np.count_nonzero(response.ok) < len(response) // 2:
-        reason = f"only {np.count_nonzero(response.ok)} of {len(response)} rows are ok with k = {k:.3g}"
+        first = next((str(reason) for reason in np.asarray(response.reason) if reason), "")
+        reason = f"only {np.count_nonzero(response.ok)} of {len(response)} rows are ok with k = {k:.3g} ({first})"
         return PointTuning(op_id, "undecided", reason, grid=grid)
     return tune_point(response, grid, margin=margin)
 

@@ -18,6 +18,9 @@ from .siso import Grid, own_impedance
 K_MAX = 2.0
 """Largest gain the search tries."""
 
+WORTH_WHILE = 0.25
+"""Part of its rate that a decay may lose, or must win, for half or double the gain."""
+
 NOTCH_GAIN = 1.0
 NOTCH_DAMPING = 0.01
 
@@ -42,6 +45,53 @@ class GainSearch:
     margin_m: float
     reached: bool
     trials: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SignedSearch:
+    """The outcome of a search for sign and size of k by the growth of the closed loop.
+
+    Attributes
+    ----------
+    k : float
+        The gain with the least growth.
+    growth_per_s : float
+        Largest growth rate of the closed loop with it (1/s); infinite where no gain could be judged.
+    trials : tuple of (float, float)
+        Every (k, growth) measured, in order.
+    """
+
+    k: float
+    growth_per_s: float
+    trials: tuple[tuple[float, float], ...]
+
+    @property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable with that gain."""
+        return self.growth_per_s < 0.0
+
+
+def search_signed(growth_at: Callable[[float], float], largest: float = 4.0) -> SignedSearch:
+    """Sign and size of k by re-sweeps: both signs at one, then half and double of the better while that is worth it.
+
+    Parameters
+    ----------
+    growth_at : callable
+        k to the largest growth rate (1/s) of the re-swept closed loop; infinite where it could not be judged.
+    largest : float
+        Largest |k| tried.
+    """
+    trials = [(k, float(growth_at(k))) for k in (-1.0, 1.0)]
+    best = min(trials, key=lambda trial: trial[1])
+    if not np.isfinite(best[1]):
+        return SignedSearch(*best, tuple(trials))
+    for factor, sign in ((0.5, 1.0), (2.0, -1.0)):  # half may be a little slower, double must be a good deal faster
+        while 0.1 <= abs(best[0] * factor) <= largest:
+            trials.append((best[0] * factor, float(growth_at(best[0] * factor))))
+            if not trials[-1][1] < best[1] + sign * WORTH_WHILE * max(-best[1], 0.0):
+                break
+            best = trials[-1]
+    return SignedSearch(*best, tuple(trials))
 
 
 def gain_for_margin(m_now: float, m_required: float) -> float:

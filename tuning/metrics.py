@@ -420,8 +420,11 @@ def fit_swing(nu_hz: np.ndarray, nfp: Response, f1_hz: float) -> Swing | str:
     starts = [np.log([k, m, max(abs(g[0]), 1e-3)]) for k, m in ((1.0, 0.3), (1.0, 5.0))]
     found = min((least_squares(differences, start) for start in starts), key=lambda fit: fit.cost)
     values = np.exp(found.x)
+    k, m_s, d = (float(x) for x in values)
     return Swing(
-        *(float(x) for x in values),
+        k=k,
+        m_s=m_s,
+        d=d,
         std=values * _swing_std(found.jac, nfp, n),
         misfit=float(np.sqrt(2.0 * found.cost)),
         band_hz=(float(nu_hz[0]), float(nu_hz[n - 1])),

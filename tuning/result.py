@@ -15,14 +15,14 @@ from ..identify.fit.rational import RationalModel
 from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError, place_of
 from .crossings import Crossing
-from .gain import GainSearch
+from .gain import GainSearch, SignedSearch
 from .intervals import Interval
 from .margins import LocusMargins, Participation
-from .siso import Grid
+from .siso import Grid, SeriesRL
 from .verdict import Decision, Stability
 
 FORMAT = "seqsweep-tuning"
-VERSION = "1.2.0"
+VERSION = "1.3.0"
 SCHEMA = "seqsweep-tuning-1.schema.json"
 
 
@@ -72,6 +72,8 @@ class PointTuning:
         Whether the required margin holds when re-swept; None until confirmed.
     with_k : PointTuning or None
         The device re-swept with damping, judged on the same grid; None until confirmed.
+    impedance : SeriesRL or None
+        What k multiplies, where that is an impedance of its own; None: the grid.
     warnings : tuple of str
         What the reader should know.
     """
@@ -95,6 +97,7 @@ class PointTuning:
     margin_m_with_k: float | None = None
     reached: bool | None = None
     with_k: PointTuning | None = None
+    impedance: SeriesRL | None = None
     warnings: tuple[str, ...] = ()
     scale: float = 1.0
     grid: Grid | None = None
@@ -227,6 +230,44 @@ def mode_with_k(point: PointTuning) -> int | None:
     return int(np.argmin(apart)) if np.any(np.isfinite(apart)) else None
 
 
+def confirmed_signed(
+    result: TuningResult, point: PointTuning, search: SignedSearch, impedance: SeriesRL, with_k: PointTuning
+) -> TuningResult:
+    """The result with a signed gain on an impedance of its own, found by re-sweeps, for one of its entries."""
+    own = f"{impedance.r_ohm:.4g} + j{impedance.x_ohm:.4g} ohm at f1"
+    if search.stable:
+        text = f"k = {search.k:g} multiplies an impedance of its own, {own}, and not the grid's"
+    else:
+        text = f"no gain between -4 and 4 on an impedance of its own, {own}, makes the loop stable"
+    settled = replace(
+        point,
+        k=search.k if search.stable else None,
+        impedance=impedance if search.stable else None,
+        margin_m_predicted=None,
+        margin_m_with_k=with_k.margin_m if search.stable else None,
+        reached=search.stable,
+        with_k=with_k if search.stable else None,
+        warnings=(*point.warnings, text),
+    )
+    return replace(result, points=tuple(settled if p is point else p for p in result.points))
+
+
+def defeated(result: TuningResult, point: PointTuning, reason: str) -> TuningResult:
+    """The result with no gain for an entry whose device does not bear damping control, and why."""
+    settled = replace(
+        point,
+        k=None,
+        margin_m_predicted=None,
+        reached=False,
+        warnings=(
+            *point.warnings,
+            f"damping control is refused: {reason}. A controller whose voltage feed-forward passes what it measures "
+            "straight to the bridge amplifies the virtual impedance in place of using it",
+        ),
+    )
+    return replace(result, points=tuple(settled if p is point else p for p in result.points))
+
+
 def _need(point: PointTuning) -> tuple[int, float]:
     order = ("unstable", "undecided", "stable")
     return order.index(point.verdict), np.inf if point.margin_m is None else point.margin_m
@@ -289,6 +330,7 @@ def _entry_json(point: PointTuning, required: float) -> dict[str, Any]:
         "k": point.k,
         "k_basis": None if point.k is None else "formula" if point.reached is None else "re-swept",
         "f_r_hz": point.f_r_hz,
+        "damping_impedance": None if point.impedance is None else point.impedance.described(),
         "margin_m_predicted": point.margin_m_predicted,
         "margin_m_with_k": point.margin_m_with_k,
         "reached": point.reached,
@@ -353,12 +395,18 @@ _NO_EDGE = "no multiple of this grid that was looked at brings the loop to the e
 _UNCONFIRMED = dict.fromkeys(
     ("margin_m_with_k", "reached", "with_k"), "not confirmed: tune --confirm sweeps the device again with damping"
 )
+_NO_FORMULA = (
+    "the formula does not see an instability that is not at the critical crossing, nor a device with unstable modes of "
+    "its own: tune --confirm finds sign and size of k by sweeping again"
+)
+_NO_GAIN = "no gain that was tried by sweeping again keeps the loop stable: see warnings"
 _WHY = {
     **dict.fromkeys(("margin_m", "margin_m_std", "margin_m_interval", "margin_met"), _NO_CROSSING),
     "critical_crossing_hz": _NO_CROSSING,
     **dict.fromkeys(("resonance_hz", "participation", "k", "k_basis", "f_r_hz"), _NO_RESONANCE),
     **dict.fromkeys(("critical_scale", "critical_scale_std", "critical_scale_interval"), _NO_EDGE),
     "critical_scr": f"{_NO_EDGE}, or the rated values of the table are not known",
+    "damping_impedance": "k multiplies the impedance of the grid",
     "margin_m_predicted": "there is no k by the formula, or no crossing is left with it",
 }
 
@@ -369,6 +417,8 @@ def _why_none(key: str, point: PointTuning) -> str:
         return _UNCONFIRMED[key]
     if point.stability is None:
         return point.reason
+    if key in ("k", "k_basis") and point.f_r_hz is not None:
+        return _NO_FORMULA if point.reached is None else _NO_GAIN
     return _WHY.get(key, "not known for this device and grid")
 
 

@@ -168,6 +168,8 @@ def _judged(
     edge = critical_scale(model, grid)
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
     k, predicted = _gain(model, grid, stability, margin, None if part is None else part.f_hz)
+    if _not_the_formulas(device, stability):
+        k, predicted = None, None
     scr = None
     if edge is not None and {"rated_voltage_v", "rated_power_va"} <= set(bases):
         scr = critical_scr(edge, grid, bases["rated_voltage_v"], bases["rated_power_va"])
@@ -205,6 +207,14 @@ def _gain(
     k = gain_for_margin(stability.critical.m, margin)
     after = predicted_crossing(lambda f: evaluate_pn(model, f), grid, k, f_r_hz, swept_band(model))
     return k, None if after is None else after.m
+
+
+def _not_the_formulas(device: _Device, stability: Stability) -> bool:
+    """Whether the formula for k says nothing here: its m must fall through one where the loop becomes unstable."""
+    own = 0 if device.anchor is None else device.anchor.n_unstable or 0
+    critical = stability.critical
+    elsewhere = stability.verdict == "unstable" and (critical is None or critical.m >= 1.0)
+    return own > 0 or elsewhere
 
 
 def _gain_warnings(stability: Stability) -> tuple[str, ...]:

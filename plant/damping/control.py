@@ -67,7 +67,7 @@ class DampingSettings:
     Attributes
     ----------
     k : float
-        Gain, 0 to 2.
+        Gain, signed; what a device takes is its own to say (the turbine: 0 to 2).
     r_ohm, l_h : float
         R_grid (ohm) and L_grid (H) that the gain multiplies.
     resonance_hz : float or None
@@ -96,7 +96,7 @@ class DampingSettings:
 
     def __post_init__(self) -> None:
         needed = {
-            "k": (self.k, 0.0, 2.0),
+            "k": (self.k, -10.0, 10.0),
             "r_ohm": (self.r_ohm, 0.0, float("inf")),
             "l_h": (self.l_h, 0.0, float("inf")),
             "threshold": (self.threshold, 0.0, 1.0),

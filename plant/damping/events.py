@@ -91,6 +91,8 @@ class Scenario:
     turbines : float
         Equal turbines that share the grid at the beginning; with n of them each sees n / ``turbines``
         times the impedance. One aggregated turbine stands for all: it is *per turbine* throughout.
+    reactive_power_var : float
+        Reactive power out of the device at the beginning (var).
     """
 
     active_power_w: float
@@ -100,6 +102,7 @@ class Scenario:
     events: tuple[Event, ...] = ()
     scale: float = 1.0
     turbines: float = 1.0
+    reactive_power_var: float = 0.0
 
     def __post_init__(self) -> None:
         faults = sorted((e for e in self.events if isinstance(e, Fault)), key=lambda fault: fault.time_s)
@@ -238,7 +241,8 @@ def simulate(
     settings = damping or replace(_WATCH, f1_hz=port.f1_hz)
     if settings.f1_hz != port.f1_hz:
         raise SeqsweepError(f"the damping control is set for {settings.f1_hz:g} Hz; {port.id} has {port.f1_hz:g} Hz")
-    state = port.equilibrium(OperatingPoint(scenario.active_power_w, None), _source(scenario))
+    point = OperatingPoint(scenario.active_power_w, None, scenario.reactive_power_var)
+    state = port.equilibrium(point, _source(scenario))
     _refuse_impossible(port, state, scenario, duration_s)
     memory = _memory_at_rest(port, state, scenario, settings)
     pieces: list[Trace] = []
@@ -286,7 +290,7 @@ def conditions_at(scenario: Scenario, time_s: float) -> Conditions:
         l_h=factor * scenario.l_h,
         fault_s=fault_s,
         wind_m_s=wind_m_s,
-        power_scale=power_w / scenario.active_power_w,
+        power_scale=1.0 if power_w == scenario.active_power_w else power_w / scenario.active_power_w,
     )
 
 

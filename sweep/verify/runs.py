@@ -130,7 +130,9 @@ def has_equilibrium(plant: Plant, scenario: Scenario, time_s: float) -> bool:
     now = conditions_at(scenario, time_s)
     source = Source("thevenin", now.r_ohm, now.l_h, voltage_v=scenario.source_voltage_v)
     try:
-        plant.equilibrium(OperatingPoint(scenario.active_power_w * now.power_scale, None), source)
+        plant.equilibrium(
+            OperatingPoint(scenario.active_power_w * now.power_scale, None, scenario.reactive_power_var), source
+        )
     except (NotSettled, ValueError):
         return False
     return True

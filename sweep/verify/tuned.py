@@ -26,7 +26,8 @@ class VerifyError(SeqsweepError):
 class Tuned:
     """What verification needs of a tuning: the grid, scale included, and the damping control for it.
 
-    ``plant`` is the card of a device that a child process has driven: enough for a report.
+    ``plant`` is the card of a device that a child process has driven: enough for a report. ``impedance`` is what k
+    multiplies; None: the grid.
     """
 
     op_id: str
@@ -37,6 +38,8 @@ class Tuned:
     source_voltage_v: float | None
     k: float
     f_r_hz: float
+    reactive_power_var: float = 0.0
+    impedance: SeriesRL | None = None
 
 
 def read_tuning(path: str | Path) -> dict[str, Any]:
@@ -88,6 +91,7 @@ def tuned_of(
     if not isinstance(plant, MeasuredPlant):
         raise VerifyError(f"{plant.id} has no measurement port: damping control cannot act on it, nor events in time")
     section = next(section for section in config.operating_point if section.id == point["op_id"])
+    own = point.get("damping_impedance")
     u, pcc_pu, grid = plant.rating.voltage_v, section.terminal_voltage_pu, _grid(content, point)
     return Tuned(
         op_id=section.id,
@@ -98,6 +102,8 @@ def tuned_of(
         source_voltage_v=None if section.grid is None else section.grid.voltage_pu * u,
         k=point["k"],
         f_r_hz=point["f_r_hz"],
+        reactive_power_var=(section.reactive_power_mvar or 0.0) * 1e6,
+        impedance=None if own is None else SeriesRL(own["r_ohm"], own["x_ohm"], own["f1_hz"]),
     )
 
 
@@ -115,14 +121,22 @@ def scenario_of(tuned: Tuned, story: Story) -> Scenario:
         voltage_v = story.source_voltage_pu * tuned.plant.rating.voltage_v
     if voltage_v is None:
         voltage_v = _source_voltage_v(tuned)
-    return Scenario(power_w, tuned.grid.r_ohm, tuned.grid.l_h, voltage_v, story.events, story.scale, story.turbines)
+    return Scenario(
+        power_w,
+        tuned.grid.r_ohm,
+        tuned.grid.l_h,
+        voltage_v,
+        story.events,
+        story.scale,
+        story.turbines,
+        tuned.reactive_power_var,
+    )
 
 
 def settings_of(tuned: Tuned) -> DampingSettings:
     """Damping control as it was tuned."""
-    return DampingSettings(
-        tuned.k, tuned.grid.r_ohm, tuned.grid.l_h, resonance_hz=tuned.f_r_hz, f1_hz=tuned.plant.f1_hz
-    )
+    behind = tuned.impedance or tuned.grid
+    return DampingSettings(tuned.k, behind.r_ohm, behind.l_h, resonance_hz=tuned.f_r_hz, f1_hz=tuned.plant.f1_hz)
 
 
 def _point(content: Mapping[str, Any], op_id: str, scale: float | None) -> Mapping[str, Any]:
@@ -154,7 +168,8 @@ def _source_voltage_v(tuned: Tuned) -> float:
     assert isinstance(plant, MeasuredPlant)
     try:
         state = plant.equilibrium(
-            OperatingPoint(tuned.active_power_w, tuned.terminal_voltage_v), Source("thevenin", grid.r_ohm, grid.l_h)
+            OperatingPoint(tuned.active_power_w, tuned.terminal_voltage_v, tuned.reactive_power_var),
+            Source("thevenin", grid.r_ohm, grid.l_h),
         )
     except NotSettled as refusal:
         raise VerifyError(f"{tuned.op_id}: {refusal}") from None

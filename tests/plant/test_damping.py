@@ -396,7 +396,7 @@ def test_lost_numbers_block_it():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"k": 2.1}, "k of the damping control is 2.1; needed: 0 to 2"),
+        ({"k": 10.1}, "k of the damping control is 10.1; needed: -10 to 10"),
         ({"threshold": -1.0}, "threshold"),
         ({"delay_s": -1.0}, "delay_s"),
     ],
