@@ -207,6 +207,10 @@ def metrics(response: FrequencyResponse, rating: tuple[float, float], grid: Grid
     seen, left, right = _behind(rows, grid, base_ohm)
     angle = 0.0
     if grid is not None:
+        if grid.couples:
+            raise MetricsError(
+                f"{grid.label} is a device of its own: there is no source to look from; give a passive grid"
+            )
         point, angle = _source_point(point, grid.at_f1 / base_ohm)
     turn = _rotation(-angle)
     seen, left, right = turn @ seen @ turn.T, turn @ left, right @ turn.T

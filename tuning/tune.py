@@ -209,17 +209,20 @@ def _gain(
     return k, None if after is None else after.m
 
 
-def _not_the_formulas(device: _Device, stability: Stability) -> bool:
+def _not_the_formulas(device: Device, stability: Stability) -> bool:
     """Whether the formula for k says nothing here: its m must fall through one where the loop becomes unstable."""
     own = 0 if device.anchor is None else device.anchor.n_unstable or 0
+    return own > 0 or _is_elsewhere(stability)
+
+
+def _is_elsewhere(stability: Stability) -> bool:
+    """Whether the loop is unstable, and not by its critical crossing."""
     critical = stability.critical
-    elsewhere = stability.verdict == "unstable" and (critical is None or critical.m >= 1.0)
-    return own > 0 or elsewhere
+    return stability.verdict == "unstable" and (critical is None or critical.m >= 1.0)
 
 
 def _gain_warnings(stability: Stability) -> tuple[str, ...]:
-    critical = stability.critical
-    if stability.verdict == "unstable" and (critical is None or critical.m >= 1.0):
+    if _is_elsewhere(stability):
         return ("the instability is not at the critical crossing: the formula for k does not see it",)
     return ()
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 def metrics(
     table: TableFile,
     behind: Annotated[
-        str | None, typer.Option(metavar="R+jX", help="Look from the source behind this grid, in ohm at f1.")
+        str | None,
+        typer.Option(metavar="GRID", help="Look from the source behind this grid: R+jX in ohm at f1, or a file."),
     ] = None,
     op: Annotated[list[str] | None, typer.Option(metavar="ID", help="Only this operating point; repeatable.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="METRICS.json", help="Write JSON.")] = None,
@@ -44,10 +45,10 @@ def metrics(
 
 def _of_table(content: Table, behind: str | None, op: list[str] | None) -> list[Metrics]:
     """The metrics of the chosen operating points, or of all."""
+    from ...tuning.grids.open import open_grid
     from ...tuning.metrics import metrics as metrics_of
-    from ...tuning.siso import parse_grid
 
-    grid = None if behind is None else parse_grid(behind, content.meta["f1_hz"], 1.0)
+    grid = None if behind is None else open_grid(behind, content.meta["f1_hz"])
     bases = content.meta["bases"]
     rating = bases["rated_voltage_v"], bases["rated_power_va"]
     chosen = content.responses if not op else [content.response(op_id) for op_id in op]
