@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..plant.errors import SeqsweepError
+from ..plant.space_vectors import LINE_RMS
 from .response import FrequencyResponse
 
 
@@ -41,7 +42,7 @@ def fundamental_facts(v1: complex, i1: complex) -> dict[str, float]:
     return {
         "active_power_into_device_w": float(power_va.real),
         "reactive_power_into_device_var": float(power_va.imag),
-        "voltage_v": float(abs(v1) * 1.5**0.5),
+        "voltage_v": float(abs(v1) * LINE_RMS),
         "angle_rad": float(np.angle(v1)),
         "current_a": float(abs(i1) * 0.5**0.5),
         "current_angle_rad": float(np.angle(i1 * np.conj(v1))),

@@ -30,6 +30,7 @@ from .protocol import (
     Tone,
     Window,
 )
+from .space_vectors import LINE_RMS
 
 _GATES = ("attributes", "settles", "samples", "finite")
 
@@ -265,7 +266,7 @@ def _steady(trial: _Trial) -> str:
 def _terminal_voltage(trial: _Trial) -> str:
     wanted_v = trial.operating_point.terminal_voltage_v
     base, _ = trial.responses
-    found_v = abs(_phasor(base.v, base.time_s, trial.plant.f1_hz)) * np.sqrt(1.5)
+    found_v = abs(_phasor(base.v, base.time_s, trial.plant.f1_hz)) * LINE_RMS
     if wanted_v is not None and not abs(found_v - wanted_v) <= 1e-3 * wanted_v:
         raise _Broken(f"|v_pcc| is {found_v:.6g} V line-to-line RMS, {wanted_v:g} V was asked for (v is a phase peak)")
     return f"|v_pcc| = {found_v:.6g} V line-to-line RMS"

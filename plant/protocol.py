@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import pi
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+
+from .space_vectors import PHASE_PEAK
 
 InjectionKind = Literal["series_voltage", "shunt_current"]
 SourceDirection = Literal["load", "generator"]
@@ -36,12 +38,12 @@ class Rating:
     @property
     def peak_voltage_v(self) -> float:
         """Rated phase-peak voltage, sqrt(2/3) U (V)."""
-        return sqrt(2.0 / 3.0) * self.voltage_v
+        return PHASE_PEAK * self.voltage_v
 
     @property
     def peak_current_a(self) -> float:
         """Rated phase-peak current, sqrt(2) S / (sqrt(3) U) (A)."""
-        return sqrt(2.0 / 3.0) * self.power_va / self.voltage_v
+        return PHASE_PEAK * self.power_va / self.voltage_v
 
 
 @dataclass(frozen=True, slots=True)

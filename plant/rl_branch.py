@@ -12,13 +12,14 @@ import cmath
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import inf, isfinite, pi, sqrt, tan
+from math import inf, isfinite, pi, tan
 from typing import NamedTuple
 
 import numpy as np
 
 from .errors import SeqsweepError
 from .injection import check_source, series_tones, turns
+from .operating_range import Asked, refuse_outside
 from .protocol import (
     Job,
     OperatingPoint,
@@ -29,6 +30,7 @@ from .protocol import (
     Source,
     Window,
 )
+from .space_vectors import PHASE_PEAK
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +135,7 @@ class RLBranch:
         z = self.impedance(self.f1_hz)
         z_loop = z + self._grid_impedance(source, self.f1_hz)
         v_source_rms = self._source_voltage(operating_point, source, abs(z_loop / z))
-        v_source = sqrt(2.0 / 3.0) * v_source_rms * cmath.exp(1j * source.angle_rad)
+        v_source = PHASE_PEAK * v_source_rms * cmath.exp(1j * source.angle_rad)
         return BranchState(0, 0.0, v_source / z_loop, v_source, source)
 
     def _source_voltage(self, operating_point: OperatingPoint, source: Source, ratio: float) -> float:
@@ -141,12 +143,8 @@ class RLBranch:
         given = operating_point.terminal_voltage_v
         terminal_voltage_v = source.voltage_v / ratio if source.voltage_v is not None else given
         assert terminal_voltage_v is not None
-        low, high = (limit / self.rating.voltage_v for limit in self.operating_range.terminal_voltage_v)
-        voltage_pu = terminal_voltage_v / self.rating.voltage_v
-        if not low * (1 - 1e-9) <= voltage_pu <= high * (1 + 1e-9):
-            raise SeqsweepError(
-                f"|v_pcc| of {voltage_pu:g} pu is outside the range of {self.id}: {low:g} to {high:g} pu"
-            )
+        limits = self.operating_range.terminal_voltage_v
+        refuse_outside(self.id, [Asked("|v_pcc|", terminal_voltage_v, limits, self.rating.voltage_v, "pu")])
         if operating_point.active_power_w != operating_point.active_power_w:
             raise SeqsweepError(f"active power is not a number; {self.id} ignores it, but needs one")
         return terminal_voltage_v * ratio

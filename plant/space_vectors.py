@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
+
+PHASE_PEAK = sqrt(2.0 / 3.0)
+"""Phase peak of a symmetric voltage over its line-to-line RMS."""
+
+LINE_RMS = sqrt(1.5)
+"""Line-to-line RMS of a symmetric voltage over its phase peak."""
 
 PHASES = np.exp(-2j * np.pi * np.arange(3) / 3.0)
 """a, b, c of a space vector x are the real parts of ``x * PHASES``."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..plant.operating_range import is_within
 from ..plant.protocol import Plant, Source, reactance_to_inductance
 from ..plant.registry import PlantCard, PlantSpec, card_of, runs_isolated
 from .config.sections import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SourceSection, SweepSection
@@ -159,7 +160,7 @@ def _check_range(conditions: tuple[Condition, ...], plant: PlantCard) -> None:
                 ("terminal_voltage_pu", condition.terminal_voltage_v / u, voltage[0] / u, voltage[1] / u, "pu")
             )
         for key, value, low, high, unit in named:
-            if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
+            if not is_within(value, (low, high)):
                 raise PlanError(
                     f"operating point {condition.op_id!r}: {key} = {value:g} {unit} is outside the operating range of "
                     f"{plant.id}, {low:g} to {high:g} {unit}"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.files import atomic_file
+from ..identify.files import write_json as write_whole
 from .intervals import NORMAL_95
 from .metrics import MISFIT_LIMIT, SUB_TRANSIENT_HZ, Least, Metrics, Response, Swing
 
@@ -80,8 +80,7 @@ def _bands_text(m: Metrics) -> str:
 
 def write_json(found: Sequence[Metrics], meta: Mapping[str, Any], path: str | Path) -> None:
     """The document of ``seqsweep metrics -o``, atomically; see the schema seqsweep-metrics-1."""
-    with atomic_file(path) as file:
-        file.write((json.dumps(to_json(found, meta), indent=1, allow_nan=False) + "\n").encode())
+    write_whole(path, to_json(found, meta))
 
 
 def to_json(found: Sequence[Metrics], meta: Mapping[str, Any]) -> dict[str, Any]:

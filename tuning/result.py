@@ -300,11 +300,9 @@ def to_json(result: TuningResult) -> dict[str, Any]:
 
 def write_json(result: TuningResult, path: str | Path) -> None:
     """Write the result as JSON, atomically."""
-    from ..identify.files import atomic_file
+    from ..identify.files import write_json as write_whole
 
-    text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
-    with atomic_file(path) as file:
-        file.write(text.encode())
+    write_whole(path, to_json(result))
 
 
 def schema() -> dict[str, Any]:

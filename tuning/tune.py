@@ -15,7 +15,7 @@ from ..identify.fit.model import MIN_POINTS, fit_response
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
-from ..plant.errors import SeqsweepError
+from ..plant.errors import SeqsweepError, place_of
 from .anchor import Anchor, anchor_of
 from .gain import gain_for_margin, predicted_crossing
 from .grid_check import grid_warnings
@@ -266,12 +266,8 @@ def _opened(table: Table | Sequence[FrequencyResponse]) -> tuple[Sequence[Freque
 def chosen(responses: Sequence[FrequencyResponse], op_ids: Iterable[str] | None) -> Sequence[FrequencyResponse]:
     if op_ids is None:
         return responses
-    by_id = {response.meta.get("op_id"): response for response in responses}
-    wanted = list(op_ids)
-    if unknown := [op_id for op_id in wanted if op_id not in by_id]:
-        known = ", ".join(str(op_id) for op_id in by_id)
-        raise SeqsweepError(f"no operating point {unknown[0]!r} in the table; it has {known}")
-    return [by_id[op_id] for op_id in wanted]
+    names = [str(response.meta.get("op_id")) for response in responses]
+    return [responses[place_of(op_id, names, "the table")] for op_id in op_ids]
 
 
 def _check(

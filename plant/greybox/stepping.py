@@ -19,6 +19,7 @@ from ..controllers.interface import ControllerFault, Sealed
 from ..controllers.signal_map import wire
 from ..errors import SeqsweepError
 from ..injection import series_tones, turns
+from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Compensation,
     Conditions,
@@ -33,13 +34,13 @@ from ..protocol import (
     Trace,
     Window,
 )
+from ..space_vectors import PHASE_PEAK
 from ..states.steady_state import Clock, Patience, until_periodic, voltage_asked
 from ..turbine import equilibrium as stationary
 from ..turbine.parameters import TurbineParameters
 from . import circuit
 from .kernel_arguments import cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
 
-_PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak."""
 
 POWER_W = (0.05e6, 1.35e6)
@@ -227,7 +228,7 @@ class SampledTurbine:
         voltage_v = voltage_asked(operating_point, source, self.operating_range, self.rating, self.id)
         wanted = cmath.exp(1j * source.angle_rad)
         if source.voltage_v is not None:
-            wanted *= _PHASE_PEAK * source.voltage_v
+            wanted *= PHASE_PEAK * source.voltage_v
             voltage_v = self._terminal_voltage(power_w, source)
         ahead = stationary.thevenin_voltage(self.parameters, power_w, voltage_v, source.r_ohm, source.l_h)
         at_pcc = Source("ideal", angle_rad=source.angle_rad - cmath.phase(ahead))
@@ -267,7 +268,7 @@ class SampledTurbine:
         """A period on, and |v_pcc| over what was asked."""
         ((state, record),) = self.run([Job(state, None)], Clock(self.f1_hz, self.dt_s).period_steps)
         found = abs(np.mean(record.v * np.exp(-2j * pi * self.f1_hz * record.time_s)))
-        return state, complex(found / (_PHASE_PEAK * state.voltage_v))
+        return state, complex(found / (PHASE_PEAK * state.voltage_v))
 
     def _held(self, state: GreyState, ratio_of: Callable[[GreyState], tuple[GreyState, complex]]) -> GreyState:
         """Onwards to the source voltage at which a ratio is one: its size by secant steps, its angle by turning."""
@@ -297,7 +298,7 @@ class SampledTurbine:
         v_source = rest.v_pcc
         if source.kind == "thevenin":
             v_source = stationary.thevenin_voltage(p, power_w, voltage_v, source.r_ohm, source.l_h)
-        turn = _PHASE_PEAK * cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
+        turn = PHASE_PEAK * cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
         command = rest.v_conv * turn
         i_g = rest.i_g * turn
         x = np.array([rest.i_l * turn, rest.v_c * turn, i_g, command, *self._port_at_rest(i_g)])
@@ -403,12 +404,8 @@ class SampledTurbine:
                 f"a grid needs r_ohm >= 0 and l_h > 0; got {conditions.r_ohm:g} ohm, {conditions.l_h:g} H"
             )
         power_w = state.power_w * conditions.power_scale
-        low, high = self.operating_range.active_power_w
-        if not low * (1.0 - 1e-9) <= power_w <= high * (1.0 + 1e-9):
-            raise SeqsweepError(
-                f"active power of {power_w / 1e6:g} MW is outside the range of {self.id}: "
-                f"{low / 1e6:g} to {high / 1e6:g} MW"
-            )
+        limits = self.operating_range.active_power_w
+        refuse_outside(self.id, [Asked("active power", power_w, limits, 1e6, "MW")])
         source = replace(state.source, r_ohm=conditions.r_ohm, l_h=conditions.l_h)
         return replace(state, source=source, power_w=power_w)
 

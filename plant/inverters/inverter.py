@@ -18,6 +18,7 @@ from ..damping.control import compensation
 from ..errors import SeqsweepError
 from ..injection import check_source
 from ..lanes import set_complex
+from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Job,
     NotSettled,
@@ -234,17 +235,12 @@ class Inverter(LaneDriven):
 
     def _check_range(self, power: complex, voltage: float) -> None:
         limits, u, s = self.operating_range, self.rating.voltage_v, self.rating.power_va
-        named = (
-            ("active power", power.real * s, limits.active_power_w, 1e6, "MW"),
-            ("reactive power", power.imag * s, limits.reactive_power_var, 1e6, "Mvar"),
-            ("|v_pcc|", voltage * u, limits.terminal_voltage_v, u, "pu"),
+        asked = (
+            Asked("active power", power.real * s, limits.active_power_w, 1e6, "MW"),
+            Asked("reactive power", power.imag * s, limits.reactive_power_var, 1e6, "Mvar"),
+            Asked("|v_pcc|", voltage * u, limits.terminal_voltage_v, u, "pu"),
         )
-        for name, value, (low, high), unit, symbol in named:
-            if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
-                raise SeqsweepError(
-                    f"{name} of {value / unit:g} {symbol} is outside the range of {self.id}: "
-                    f"{low / unit:g} to {high / unit:g} {symbol}"
-                )
+        refuse_outside(self.id, asked)
 
     def _check_limits(self, circuit: CircuitEquilibrium) -> None:
         limit = self.parameters.i_limit_pu

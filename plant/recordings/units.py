@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from ..errors import SeqsweepError
+from ..space_vectors import LINE_RMS
 from .sequences import Kind
 
 _PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "M": 1e6, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
@@ -59,7 +60,7 @@ def in_the_way(kind: Kind, size: Size, rated: float | None) -> str:
     letter = "V" if kind == "voltage" else "A"
     option = f"--{kind}-unit"
     if rated is None:
-        line_v = size.value * 1.5**0.5
+        line_v = size.value * LINE_RMS
         if kind == "current" or size.stated or line_v >= LOW_V:
             return ""
         return (

@@ -12,9 +12,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..errors import SeqsweepError
 from ..injection import check_source
+from ..operating_range import Asked, refuse_outside
 from ..protocol import NotSettled, OperatingPoint, OperatingRange, Rating, Source
+from ..space_vectors import PHASE_PEAK
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -134,19 +135,12 @@ def voltage_asked(point: OperatingPoint, source: Source, limits: OperatingRange,
     check_source(point, source)
     voltage_v = point.terminal_voltage_v if source.voltage_v is None else source.voltage_v
     assert voltage_v is not None
-    given = [
-        ("active power", point.active_power_w, limits.active_power_w, 1.0, "W"),
-        ("voltage", voltage_v, limits.terminal_voltage_v, rating.voltage_v, "pu"),
-    ]
-    for what, value, (low, high), unit, word in given:
-        if not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
-            raise SeqsweepError(
-                f"{what} of {value / unit:g} {word} is outside the range of {name}: "
-                f"{low / unit:g} to {high / unit:g} {word}"
-            )
+    power = Asked("active power", point.active_power_w, limits.active_power_w, 1.0, "W")
+    voltage = Asked("voltage", voltage_v, limits.terminal_voltage_v, rating.voltage_v, "pu")
+    refuse_outside(name, (power, voltage))
     return voltage_v
 
 
 def phase_peak(voltage_v: float, angle_rad: float = 0.0) -> complex:
     """Space vector (V, phase peak) of a line-to-line RMS voltage at an angle."""
-    return complex((2.0 / 3.0) ** 0.5 * voltage_v * np.exp(1j * angle_rad))
+    return complex(PHASE_PEAK * voltage_v * np.exp(1j * angle_rad))

@@ -19,6 +19,7 @@ from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
 from ..lanes import n_tones_of, phasors_of, set_complex
+from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Compensation,
     Conditions,
@@ -33,11 +34,11 @@ from ..protocol import (
     Trace,
     Window,
 )
+from ..space_vectors import PHASE_PEAK
 from . import equilibrium as stationary
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .tone_table import common_period, waveform
 
-_PHASE_PEAK = sqrt(2.0 / 3.0)
 """Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
 
 _INTEGRATORS = ("rk4", "emt")
@@ -227,16 +228,9 @@ class ReferenceTurbine:
 
     def _check_range(self, power_w: float, terminal_voltage_v: float) -> None:
         limits = self.operating_range
-        named = (
-            ("active power", power_w, limits.active_power_w, 1e-6, "MW"),
-            ("|v_pcc|", terminal_voltage_v, limits.terminal_voltage_v, 1.0 / self.rating.voltage_v, "pu"),
-        )
-        for name, value, (low, high), unit, symbol in named:
-            if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
-                raise SeqsweepError(
-                    f"{name} of {value * unit:g} {symbol} is outside the range of {self.id}: "
-                    f"{low * unit:g} to {high * unit:g} {symbol}"
-                )
+        power = Asked("active power", power_w, limits.active_power_w, 1e6, "MW")
+        voltage = Asked("|v_pcc|", terminal_voltage_v, limits.terminal_voltage_v, self.rating.voltage_v, "pu")
+        refuse_outside(self.id, (power, voltage))
 
     def _check_limits(self, grid_side: stationary.GridSideEquilibrium) -> None:
         p = self.parameters
@@ -277,7 +271,7 @@ class ReferenceTurbine:
         rows_per_s = 2.0 / self.dt_s
         in_frame = [
             [
-                (f_hz - self.f1_hz, v / _PHASE_PEAK)
+                (f_hz - self.f1_hz, v / PHASE_PEAK)
                 for f_hz, v in series_tones(job.injection, source, _grid_impedance(source))
             ]
             for job in jobs
@@ -319,7 +313,7 @@ class ReferenceTurbine:
             sums = np.empty((n_blocks, 8, kernel.LANES))
             advance(lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
             ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
-            for member, end, phasors in zip(members, ends, phasors_of(sums, _PHASE_PEAK, -_PHASE_PEAK), strict=False):
+            for member, end, phasors in zip(members, ends, phasors_of(sums, PHASE_PEAK, -PHASE_PEAK), strict=False):
                 results[member] = end, phasors
         return results
 
@@ -421,7 +415,7 @@ class ReferenceTurbine:
         tones = list(series_tones(job.injection, source, _grid_impedance(source)))
         for tone, (f_hz, amplitude) in enumerate(tones[:n_tones]):  # the others are in the table
             slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
-            set_complex(x, slot, amplitude / _PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
+            set_complex(x, slot, amplitude / PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
             set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))
             set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
         return x
@@ -442,7 +436,7 @@ class ReferenceTurbine:
 
     def _record(self, state: TurbineState, samples: np.ndarray) -> Record:
         time_s = (state.step + np.arange(len(samples))) * self.dt_s
-        to_stationary = _PHASE_PEAK * np.exp(2j * pi * ((self.f1_hz * time_s) % 1.0))
+        to_stationary = PHASE_PEAK * np.exp(2j * pi * ((self.f1_hz * time_s) % 1.0))
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)

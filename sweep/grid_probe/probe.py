@@ -7,7 +7,6 @@ into the plant and nowhere else.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...identify.files import atomic_file
+from ...identify.files import write_json as write_whole
 from ...identify.grid_impedance import GridImpedance, identify_grid
 from ...identify.uncertainty import NORMAL_95
 from ...plant.errors import SeqsweepError, place_of, reason_of
@@ -286,5 +285,4 @@ def _point_json(seen: GridSeen) -> dict[str, Any]:
 
 def write_json(content: Mapping[str, Any], path: str | Path) -> None:
     """Write what `to_json` gave, atomically."""
-    with atomic_file(path) as file:
-        file.write((json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+    write_whole(path, content)

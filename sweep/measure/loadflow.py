@@ -13,6 +13,7 @@ import numpy as np
 
 from ...identify.fourier import line
 from ...plant.protocol import Job, NotSettled, OperatingPoint, Plant, Source
+from ...plant.space_vectors import LINE_RMS
 from ..excitation.frequencies import coherent_block
 from ..plan import Condition, Grid, operating_point
 
@@ -91,4 +92,4 @@ def _current(plant: Plant, point: OperatingPoint) -> complex:
     steps = coherent_block(plant.f1_hz, plant.dt_s).steps
     ((_, record),) = plant.run([Job(state, None)], steps)
     v, i = (line(x, plant.f1_hz, record.t0_s, record.dt_s) for x in (record.v, record.i))
-    return complex(1.5**0.5 * i * abs(v) / v)
+    return complex(LINE_RMS * i * abs(v) / v)

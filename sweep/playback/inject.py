@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...identify.files import atomic_file
-from ...plant.errors import SeqsweepError
+from ...identify.files import write_json
+from ...plant.errors import SeqsweepError, place_of
 from ...plant.protocol import Job, OperatingPoint, OperatingRange, Plant, Rating, Record, Source
 from ...plant.registry import PlantCard
 from ..config.sections import Config
@@ -155,10 +155,7 @@ def chosen(plan: Plan, op_id: str | None) -> Condition:
     names = [condition.op_id for condition in plan.conditions]
     if op_id is None and len(names) > 1:
         raise InjectError(f"a manifest is that of one operating point; choose with --op ID: {', '.join(names)}")
-    for condition in plan.conditions:
-        if op_id in (None, condition.op_id):
-            return condition
-    raise InjectError(f"no operating point {op_id!r}; the campaign has {', '.join(names)}")
+    return plan.conditions[0 if op_id is None else place_of(op_id, names, "the campaign", InjectError)]
 
 
 def inject(
@@ -194,7 +191,7 @@ def inject(
         experiments=tuple(experiment for experiments in files for experiment in experiments),
         configuration=plan.configuration,
     )
-    _write_manifest(folder / FILE_NAME, manifest)
+    write_json(folder / FILE_NAME, manifest.to_dict())
     return manifest
 
 
@@ -226,11 +223,6 @@ def _point(condition: Condition, rating: Rating) -> dict[str, Any]:
         "active_power_mw": condition.active_power_w / 1e6,
         "terminal_voltage_pu": None if voltage_v is None else voltage_v / rating.voltage_v,
     }
-
-
-def _write_manifest(path: Path, manifest: Manifest) -> None:
-    with atomic_file(path) as file:
-        file.write(json.dumps(manifest.to_dict(), indent=1, allow_nan=False).encode() + b"\n")
 
 
 # From the plan to stretches of time

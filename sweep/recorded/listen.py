@@ -18,6 +18,7 @@ from ...identify.recorded.tones import HearingError, fundamental, hear
 from ...plant.protocol import SourceDirection
 from ...plant.recordings.recording import RecordingError
 from ...plant.recordings.waveforms import Waveforms, defects, open_waveforms
+from ...plant.space_vectors import LINE_RMS
 from ..playback.manifest import Experiment as Played
 from ..playback.manifest import PlayedTone
 
@@ -104,7 +105,7 @@ class Fundamental(NamedTuple):
     @property
     def line_voltage_v(self) -> float:
         """|v_pcc|, line-to-line RMS (V)."""
-        return float(abs(self.v1) * 1.5**0.5)
+        return float(abs(self.v1) * LINE_RMS)
 
 
 class Listened(NamedTuple):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import textwrap
 from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from ...identify.files import write_json as write_whole
 from ...plant.damping.events import Event, Fault
+from ...tuning.text import wrapped
 from .reading import RunReport, WindowReport
 from .runs import Verification
 
@@ -56,11 +56,7 @@ def to_json(result: Verification) -> dict[str, Any]:
 
 def write_json(result: Verification, path: str | Path) -> None:
     """Write the verification as JSON, atomically."""
-    from ...identify.files import atomic_file
-
-    text = json.dumps(to_json(result), indent=1, allow_nan=False) + "\n"
-    with atomic_file(path) as file:
-        file.write(text.encode())
+    write_whole(path, to_json(result))
 
 
 def _plain(value: Any) -> Any:
@@ -74,11 +70,11 @@ def _plain(value: Any) -> Any:
 def format_report(result: Verification, width: int = 80) -> str:
     """Both runs as plain text: what was asked, how each went, and the windows side by side."""
     without, damped = result.reports
-    lines = [*_wrapped(_headline(result), width), *_wrapped(_damping_line(result), width), ""]
-    lines += _grid_of([("", "without", "with"), *_facts(without, damped, result.settings.threshold)])
-    lines += ["", *_wrapped("windows of 150 ms: frequencies, r of the stronger one, its growth, power", width)]
-    lines += _grid_of([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
-    lines += [line for remark in result.remarks for line in ("", *_wrapped(f"note: {remark}", width))]
+    lines = [*wrapped(_headline(result), width), *wrapped(_damping_line(result), width), ""]
+    lines += _columns([("", "without", "with"), *_facts(without, damped, result.settings.threshold)])
+    lines += ["", *wrapped("windows of 150 ms: frequencies, r of the stronger one, its growth, power", width)]
+    lines += _columns([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
+    lines += [line for remark in result.remarks for line in ("", *wrapped(f"note: {remark}", width))]
     return "\n".join(lines)
 
 
@@ -156,14 +152,10 @@ def _times(times_s: tuple[float, ...]) -> str:
     return ", ".join(f"{time_s:.3f} s" for time_s in times_s) or "-"
 
 
-def _grid_of(rows: list[tuple[str, ...]], gap: str = "  ") -> list[str]:
+def _columns(rows: list[tuple[str, ...]], gap: str = "  ") -> list[str]:
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     forms = ["<", *[">"] * (len(widths) - 1)]
     return [
         gap.join(f"{cell:{form}{width}}" for cell, form, width in zip(row, forms, widths, strict=True)).rstrip()
         for row in rows
     ]
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, max(width, 20), subsequent_indent="  ")

@@ -14,6 +14,7 @@ from ...plant.damping.events import Scenario
 from ...plant.errors import SeqsweepError, place_of
 from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
 from ...plant.registry import make_plant
+from ...plant.space_vectors import LINE_RMS
 from ...tuning.siso import SeriesRL
 from .scenario import Story
 
@@ -175,4 +176,4 @@ def _source_voltage_v(tuned: Tuned) -> float:
         raise VerifyError(f"{tuned.op_id}: {refusal}") from None
     _, trace = plant.trace(state, Conditions(grid.r_ohm, grid.l_h), 1)
     source = trace.record.v[0] + (grid.r_ohm + 1j * grid.x_ohm) * trace.record.i[0]
-    return float(abs(source) * 1.5**0.5)
+    return float(abs(source) * LINE_RMS)

@@ -388,7 +388,7 @@ WRONG_CALLS = {
     "encoding": (["--format", "comtrade", "--encoding", "GREY"], "known are ASCII, BINARY, BINARY32 and FLOAT32"),
     "rate": (["--format", "csv", "--rate", "nan"], "--rate nan; needed: a finite number"),
     "settle": (["--format", "csv", "--settle", "-1"], "--settle -1; needed: a finite number of at least 0"),
-    "point": (["--format", "csv", "--op", "p9"], "no operating point 'p9'; the campaign has p0"),
+    "point": (["--format", "csv", "--op", "p9"], "no operating point 'p9' in the campaign; it has p0"),
 }
 
 

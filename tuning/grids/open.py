@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ...plant.errors import place_of
 from .elements import elements_grid
 from .errors import GridError
 from .promise import Grid
@@ -96,9 +97,7 @@ def response_grid(path: Path, op_id: str | None, f1_hz: float) -> ResponseGrid:
         raise GridError(
             f"{path} has {len(responses)} operating points: write {path}#ID, ID one of {', '.join(ids[:8])}"
         )
-    chosen = [r for r, name in zip(responses, ids, strict=True) if op_id is None or name == op_id]
-    if not chosen:
-        raise GridError(f"{path}: no operating point {op_id!r}; it has {', '.join(ids[:8])}")
-    if chosen[0].f1_hz != f1_hz:
-        raise GridError(f"{path}: its fundamental is {chosen[0].f1_hz:g} Hz, the device's {f1_hz:g} Hz")
-    return ResponseGrid(fit_response(chosen[0]), f"{path.name}#{chosen[0].meta.get('op_id')}")
+    chosen = responses[0 if op_id is None else place_of(op_id, ids, str(path), GridError)]
+    if chosen.f1_hz != f1_hz:
+        raise GridError(f"{path}: its fundamental is {chosen.f1_hz:g} Hz, the device's {f1_hz:g} Hz")
+    return ResponseGrid(fit_response(chosen), f"{path.name}#{chosen.meta.get('op_id')}")
