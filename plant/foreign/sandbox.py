@@ -129,30 +129,35 @@ class Sandbox:
 
 
 _idle: list[Sandbox] = []
-_lock = threading.Lock()
+_lock = threading.RLock()
+"""Reentrant: a recording that is thrown away gives its process back at any moment, even within `borrow`."""
 
 
 def borrow() -> Sandbox:
     """A process that nobody uses, an idle one if there is one."""
-    with _lock:
-        while _idle:
-            idle = _idle.pop()
-            if idle.fit:
-                break
-            idle.end()
-        else:
-            idle = Sandbox()
-    idle.count()
-    return idle
+    one = _fit_one() or Sandbox()
+    one.count()
+    return one
+
+
+def _fit_one() -> Sandbox | None:
+    """An idle process that may be given another file; those that may not are ended."""
+    while True:
+        with _lock:
+            idle = _idle.pop() if _idle else None
+        if idle is None or idle.fit:
+            return idle
+        idle.end()
 
 
 def give_back(used: Sandbox) -> None:
     """Return a process; one that is not fit for another file is ended."""
     with _lock:
-        if used.fit and len(_idle) < MOST_IDLE:
+        keep = used.fit and len(_idle) < MOST_IDLE
+        if keep:
             _idle.append(used)
-            return
-    used.end()
+    if not keep:
+        used.end()
 
 
 @contextmanager
