@@ -18,6 +18,9 @@ MOST_OBJECTS = 10_000
 DEEPEST = 32
 """Groups within groups: a file that goes deeper goes in circles."""
 
+MOST_COMPRESSED, SMALL_BYTES = 1100, 1 << 20
+"""Bytes that one stored byte may stand for (deflate: 1032), and bytes that nobody counts."""
+
 LEAVES = ("data", "value", "values", "signal", "samples", "y")
 """Names that say nothing: the group's is taken."""
 
@@ -198,8 +201,15 @@ def _is_scalar(value: Any) -> bool:
 
 
 def _refuse_large_chunks(path: Path, arrays: list[Named]) -> None:
-    """A chunk is the least that can be decompressed."""
+    """A chunk is the least that can be decompressed; and no compression makes a thousandth of numbers."""
     for each in arrays:
         chunks = getattr(each.data, "chunks", None)
         if chunks and np.prod([float(n) for n in chunks]) * each.data.dtype.itemsize > TEXT_LIMIT_BYTES:
             raise RecordingError(f"{path}: a chunk of {each.name!r} does not fit into memory; write smaller chunks")
+        stored = each.data.id.get_storage_size() if hasattr(each.data, "id") else each.data.nbytes
+        announced = float(each.data.size) * each.data.dtype.itemsize
+        if announced > MOST_COMPRESSED * stored + SMALL_BYTES:
+            raise RecordingError(
+                f"{path}: {each.name!r} announces {announced / 2**20:.3g} MB, of which the file holds {stored} bytes: "
+                "damaged, or never written"
+            )

@@ -313,6 +313,13 @@ def test_struct_arrays_of_matlab_73_are_followed(tmp_path):
     assert difference(tmp_path / "a.mat") < 1e-15
 
 
+def test_a_data_set_that_was_never_written_is_refused(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in ("time", *files.NAMES):
+            file.create_dataset(name, (10**12,), "f8", chunks=(4096,), compression="gzip")
+    refused(tmp_path / "a.h5", r"announces 7.63e\+06 MB, of which the file holds 0 bytes")
+
+
 def test_complex_records_of_hdf5_are_space_vectors(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["t"] = T
