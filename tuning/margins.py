@@ -18,6 +18,7 @@ SCALE_RANGE = (0.05, 20.0)
 ELEMENTS = ("pp", "pn", "np", "nn")
 
 _SCAN_STEP = 1.15
+_CLEAR = 1.001  # so far inside a stable range its other end is looked for
 
 
 class LocusMargins(NamedTuple):
@@ -96,19 +97,54 @@ def locus_margins(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> LocusM
     )
 
 
-def critical_scale(model: RationalModel, grid: Grid) -> float | None:
-    """Multiplier of R and X at which the loop is on the edge, the device's admittance being held.
+class StableRange(NamedTuple):
+    """Multipliers of the grid impedance between which the loop is stable, the device's admittance being held.
 
-    Above one for a stable loop (the first on the way up), below one for an unstable one (the first on the way
-    down); None if there is none within `SCALE_RANGE`.
+    Attributes
+    ----------
+    low, high : float or None
+        Ends of the stable range that holds one, or of the nearest one where the loop is unstable: the strongest and
+        the weakest grid. None where there is no such end within `SCALE_RANGE`.
+    """
+
+    low: float | None
+    high: float | None
+
+    @property
+    def nearest(self) -> float | None:
+        """The end nearest to one, by their ratio."""
+        return min((end for end in self if end is not None), key=lambda end: abs(np.log(end)), default=None)
+
+    @property
+    def averse(self) -> bool:
+        """Whether the nearest edge lies on the side of strong grids: a smaller impedance is worse there."""
+        return self.low is not None and self.nearest == self.low
+
+
+def stable_range(model: RationalModel, grid: Grid) -> StableRange:
+    """Both ends of the range of multipliers of R and X in which the loop is stable.
+
+    A grid-following device loses stability on weak grids and has an upper end; a grid-forming one may lose it on
+    strong grids and has a lower one. The end on the way back into a range that is stable is looked for in steps
+    of two, every other one in steps of `_SCAN_STEP`.
     """
 
     def rightmost(scale: float) -> float:
         poles = closed_loop_poles(model, grid.scaled(scale))
         return float(poles.real[~is_beyond(model, poles)].max(initial=-np.inf))
 
-    inner, value = 1.0, rightmost(1.0)
-    step = _SCAN_STEP if value <= 0.0 else 1.0 / _SCAN_STEP
+    if rightmost(1.0) <= 0.0:
+        return StableRange(_edge(rightmost, 1.0, 0.5), _edge(rightmost, 1.0, _SCAN_STEP))
+    high = _edge(rightmost, 1.0, 1.0 / _SCAN_STEP)
+    if high is not None:
+        return StableRange(_edge(rightmost, high / _CLEAR, 0.5), high)
+    low = _edge(rightmost, 1.0, _SCAN_STEP)
+    return StableRange(low, None if low is None else _edge(rightmost, low * _CLEAR, _SCAN_STEP))
+
+
+def _edge(rightmost: Callable[[float], float], start: float, step: float) -> float | None:
+    """The first scale from ``start`` on, by factors of ``step``, at which the sign of ``rightmost`` changes."""
+    inner, value = start, rightmost(start)
     while SCALE_RANGE[0] < inner < SCALE_RANGE[1]:
         outer = inner * step
         beyond = rightmost(outer)
@@ -116,6 +152,11 @@ def critical_scale(model: RationalModel, grid: Grid) -> float | None:
             return _root(rightmost, (inner, value), (outer, beyond))
         inner, value = outer, beyond
     return None
+
+
+def critical_scale(model: RationalModel, grid: Grid) -> float | None:
+    """Multiplier of R and X at which the loop is on the edge: the nearest end of `stable_range`."""
+    return stable_range(model, grid).nearest
 
 
 def critical_scr(scale: float, grid: Grid, voltage_v: float, power_va: float) -> float:

@@ -17,7 +17,7 @@ from ..plant.errors import SeqsweepError, place_of
 from .crossings import Crossing
 from .gain import GainSearch, SignedSearch
 from .intervals import Interval
-from .margins import LocusMargins, Participation
+from .margins import LocusMargins, Participation, StableRange
 from .siso import Grid, SeriesRL
 from .verdict import Decision, Stability
 
@@ -53,7 +53,9 @@ class PointTuning:
     margin_interval : Interval or None
         What is known of the margin m: standard error and 95 % interval.
     critical_scale, critical_scr : float or None
-        Multiplier of the grid impedance at the edge of stability, and the short-circuit ratio there.
+        Multiplier of the grid impedance at the nearest edge of stability, and the short-circuit ratio there.
+    stable_range : StableRange or None
+        Multipliers between which the loop is stable: both ends.
     scale_interval : Interval or None
         What is known of the critical scale.
     passivity : (float, float) or None
@@ -87,6 +89,7 @@ class PointTuning:
     margins: LocusMargins | None = None
     margin_interval: Interval | None = None
     critical_scale: float | None = None
+    stable_range: StableRange | None = None
     scale_interval: Interval | None = None
     critical_scr: float | None = None
     passivity: tuple[float, float] | None = None
@@ -351,6 +354,7 @@ def _judgement_json(point: PointTuning) -> dict[str, Any]:
         "critical_crossing_hz": None if crossing is None else crossing.f_hz,
         "resonance_hz": None if point.resonance_hz is None else list(point.resonance_hz),
         "critical_scale": point.critical_scale,
+        "stable_scales": None if point.stable_range is None else list(point.stable_range),
         **_interval_json("critical_scale", point.scale_interval),
     }
 
@@ -389,6 +393,11 @@ _UNBOUNDED = "it has no finite value: the noise of the table leaves it without a
 _OPEN_ENDED = "no upper end: within the noise the crossing may not exist"
 _NO_CROSSING = "Y1 has no 180-degree crossing above f1 inside the swept band"
 _NO_RESONANCE = "no oscillating mode inside the swept band is carried by the data: there is nothing to damp"
+_GAIN = ("k", "k_basis", "margin_m_predicted")
+_AVERSE = (
+    "the nearest edge is on the side of strong grids, and damping control by the formula makes a grid look stronger: "
+    "tune --confirm finds sign and size of k by sweeping again"
+)
 _NO_EDGE = "no multiple of this grid that was looked at brings the loop to the edge of stability"
 _UNCONFIRMED = dict.fromkeys(
     ("margin_m_with_k", "reached", "with_k"), "not confirmed: tune --confirm sweeps the device again with damping"
@@ -415,6 +424,8 @@ def _why_none(key: str, point: PointTuning) -> str:
         return _UNCONFIRMED[key]
     if point.stability is None:
         return point.reason
+    if key in _GAIN and point.reached is None and point.stable_range is not None and point.stable_range.averse:
+        return _AVERSE
     if key in ("k", "k_basis") and point.f_r_hz is not None:
         return _NO_FORMULA if point.reached is None else _NO_GAIN
     return _WHY.get(key, "not known for this device and grid")

@@ -68,13 +68,26 @@ def _row(point: PointTuning, result: TuningResult) -> dict[str, str]:
         f"m >= {result.margin_required:g}": _met(point.margin_m, result.margin_required),
         "resonance Hz": "-" if pair is None else f"{pair[0]:.2f}/{pair[1]:.2f}",
         "damping": "-" if damping is None else f"{damping:.1f} %",
-        "Z crit": "-" if point.critical_scale is None else f"x{with_doubt(point.critical_scale, point.scale_interval)}",
+        "Z crit": _edges(point),
         "SCR crit": _number(point.critical_scr, ".3f"),
         "k": _number(point.k, ".3f") + ("*" if _is_first_value(point) else ""),
         "m predicted": "" if point.margin_m_predicted is None else f"{point.margin_m_predicted:.3f}",
         "m with k": _number(point.margin_m_with_k, ".3f") if point.reached is not None else "",
         "with k": "" if point.with_k is None else point.with_k.verdict,
     }
+
+
+def _edges(point: PointTuning) -> str:
+    """Multiples of the grid at the edge: the upper end, ``>`` and the lower one, or both; the nearest with doubt."""
+    if point.critical_scale is None:
+        return "-"
+    nearest = f"x{with_doubt(point.critical_scale, point.scale_interval)}"
+    if point.stable_range is None or point.stable_range.low is None:
+        return nearest
+    low, high = point.stable_range
+    if high is None:
+        return f"> {nearest}"
+    return f"{nearest} to x{high:.3f}" if point.stable_range.averse else f"x{low:.3f} to {nearest}"
 
 
 def _probability(probability: float | None) -> str:
@@ -120,6 +133,8 @@ def _legend(rows: Sequence[dict[str, str]], names: Sequence[str], result: Tuning
         yield f"P stable: probability of being stable; a blank is a certain verdict (beyond {CERTAIN:g})"
     if any(_is_first_value(point) for point in result.points):
         yield "*: first value by the formula; --confirm sweeps the device again with damping control and settles it"
+    if any(row["Z crit"].startswith(">") or " to " in row["Z crit"] for row in rows) and "Z crit" in names:
+        yield "Z crit: > x is a lower end, the loop is stable on larger multiples of the grid, not on smaller ones"
     if len(result.points) > 1:
         worst = result.worst
         at = f" at scale {worst.scale:g}" if len(result.scales) > 1 else ""

@@ -20,7 +20,7 @@ from .anchor import Anchor, anchor_of
 from .gain import gain_for_margin, predicted_crossing
 from .grid_check import grid_warnings
 from .intervals import margin_interval, scale_interval
-from .margins import critical_scale, critical_scr, locus_margins, participation, passivity
+from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
 from .result import PointTuning, TuningResult
 from .rows import Rows, rows_of
 from .siso import Grid, SeriesRL, check_fundamental
@@ -165,10 +165,11 @@ def _judged(
         )
     stability = judge(model, grid, device.rows, device.anchor)
     loop = stability.closed_loop
-    edge = critical_scale(model, grid)
+    ends = stable_range(model, grid)
+    edge = ends.nearest
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
     k, predicted = _gain(model, grid, stability, margin, None if part is None else part.f_hz)
-    if _not_the_formulas(device, stability):
+    if ends.averse or _not_the_formulas(device, stability):
         k, predicted = None, None
     scr = None
     if edge is not None and {"rated_voltage_v", "rated_power_va"} <= set(bases):
@@ -183,6 +184,7 @@ def _judged(
         margins=locus_margins(model, grid, stability.winding.nu_hz),
         margin_interval=None if stability.critical is None else margin_interval(model, grid, stability.critical),
         critical_scale=edge,
+        stable_range=ends,
         scale_interval=None if edge is None else scale_interval(model, grid, edge),
         critical_scr=scr,
         passivity=_least_passive(model),
@@ -190,7 +192,7 @@ def _judged(
         k=k,
         f_r_hz=None if part is None else part.f_hz,
         margin_m_predicted=predicted,
-        warnings=(*warnings, *model.notes, *_gain_warnings(stability)),
+        warnings=(*warnings, *model.notes, *_gain_warnings(stability, ends)),
         grid=grid,
         response=response,
     )
@@ -221,7 +223,17 @@ def _is_elsewhere(stability: Stability) -> bool:
     return stability.verdict == "unstable" and (critical is None or critical.m >= 1.0)
 
 
-def _gain_warnings(stability: Stability) -> tuple[str, ...]:
+def _gain_warnings(stability: Stability, ends: StableRange) -> tuple[str, ...]:
+    """Why the formula proposes no k."""
+    critical = stability.critical
+    if ends.averse and ends.low is not None:
+        below = critical is not None and critical.m < 1.0 and stability.verdict == "stable"
+        direction = " m below one counts the other way here." if below else ""
+        return (
+            "the nearest edge of stability is on the side of strong grids: the loop is unstable on "
+            f"{ends.low:.3g} times this grid and less. The formula's k makes a grid look stronger and would bring the "
+            f"edge nearer, so that none is proposed; --confirm looks for its sign and size.{direction}",
+        )
     if _is_elsewhere(stability):
         return ("the instability is not at the critical crossing: the formula for k does not see it",)
     return ()

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..uncertainty import NORMAL_95
 from .dq_data import ELEMENTS
 from .least_squares import (
     Linear,
@@ -28,6 +29,7 @@ from .vector_fit import vector_fit
 
 _ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
 _FEIGNED = 18.0  # chi-squared that a pair of poles sought over the band gains from noise alone, on average
+_VISIBLE = 1e-3  # a doubt that does not show in the digits that are printed is not printed
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
 
 
@@ -78,7 +80,9 @@ def _with_sign_notes(model: RationalModel) -> RationalModel:
     """Note every pole in the right half-plane, and every lightly damped one whose half-plane the data leave open."""
     noted, remarked = [], []
     for pole, std in zip(model.poles, model.pole_std, strict=True):
-        text = f"{pole.real:+.3g} +- {std.real:.2g} rad/s, {abs(pole.imag) / (2.0 * np.pi):.3g} Hz (dq)"
+        doubt = NORMAL_95 * std.real
+        interval = f" +- {doubt:.2g}" if doubt > _VISIBLE * abs(pole.real) else ""
+        text = f"{pole.real:+.3g}{interval} rad/s, {abs(pole.imag) / (2.0 * np.pi):.3g} Hz (dq)"
         unswept = abs(pole) < 2.0 * np.pi * model.nu_hz[0]
         is_open = abs(pole.real) < min(2.0 * std.real, _LIGHT * abs(pole)) or (pole.real > 0.0 and unswept)
         if pole.imag >= 0.0 and is_open:

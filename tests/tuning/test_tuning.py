@@ -99,13 +99,15 @@ def test_only_the_chosen_operating_points_are_tuned() -> None:
         tune(responses, GRID, op_ids=["p900"])
 
 
-def test_instability_the_formula_does_not_see_is_warned_about() -> None:
+def test_no_k_is_proposed_where_a_stronger_grid_is_the_trouble() -> None:
     """Stable behind 0.1 ohm, unstable by itself: on the grid of this test its negative resistance is too large."""
     response = circuit(lambda s: 1.0 / (-0.05 + s * 1e-3))
     stated = {"stable_on": {"grid": {"r_ohm": 0.1, "x_ohm": 0.25}, "basis": "stated"}}
     point = tune_point(replace(response, meta={**response.meta, **stated}), GRID)
     assert point.verdict == "unstable"
-    assert any("the formula for k does not see it" in w for w in point.warnings)
+    assert point.k is None
+    assert point.critical_scale == pytest.approx(0.05 / GRID.r_ohm)  # as much resistance as the device lacks
+    assert any("so that none is proposed" in w for w in point.warnings)
 
 
 def test_own_instability_that_nothing_proves_is_undecided_and_the_option_named() -> None:
