@@ -197,6 +197,12 @@ class Surrogate:
         relative = self.evaluate(points).relative.max(axis=1)
         return float(relative.max()), points[int(np.argmax(relative))]
 
+    def check_inside(self, point: Sequence[float], name: str) -> None:
+        """Refuse an operating point (3,) outside the region, in the name of what asked for it."""
+        at = np.asarray(point, dtype=float)
+        if not self.region.holds(at[None])[0]:
+            raise SurrogateError(f"{name}: {_outside(at, self.region)}")
+
     def _inside(self, points: np.ndarray) -> np.ndarray:
         points = np.atleast_2d(np.asarray(points, dtype=float))
         outside = np.flatnonzero(~self.region.holds(points))

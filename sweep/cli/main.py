@@ -21,6 +21,7 @@ import typer
 from ...plant.errors import SeqsweepError
 from . import bank as cli_bank
 from . import decide as cli_decide
+from . import farm as cli_farm
 from . import faults
 from . import files as cli_files
 from . import metrics as cli_metrics
@@ -55,6 +56,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "verify": cli_decide.verify,
     "grid": cli_decide.grid,
     "surrogate": cli_region.surrogate,
+    "farm": cli_farm.farm,
     "metrics": cli_metrics.metrics,
     "check": cli_sweep.check,
     "identify": cli_files.identify,

@@ -1,0 +1,65 @@
+"""`seqsweep farm` from the command line: tables that were really swept, in the shipped example's network."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from seqsweep.identify.table.read import validate_table
+
+from ..support.commands import call
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "farm"
+QUICK = ["--set", "sweep.points=24", "--set", "sweep.probes=0", "--set", "sweep.operating_points.tolerance=5e-3"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("farm")
+    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
+    done = call("run", folder / "turbine.toml", "-o", folder / "turbine.parquet", "--jobs", 1, *QUICK)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_the_example_is_judged_and_written(folder):
+    outputs = ["-o", folder / "f.json", "--plot", folder / "f.svg", "--table", folder / "pcc.parquet"]
+    done = call("farm", folder / "farm.toml", *outputs)
+    assert done.returncode == 0, done.stderr
+    content = json.loads((folder / "f.json").read_text())
+    assert content["verdict"] == "stable"
+    assert content["n_unstable_locus"] == content["n_unstable_poles"] == 0
+    assert validate_table(folder / "pcc.parquet") == []
+    assert "Share in the mode" in (folder / "f.svg").read_text()
+    assert all(len(line) <= 90 for line in done.stdout.splitlines())
+
+
+def test_a_turbine_less_lets_the_others_stand_at_smaller_angles(folder):
+    for name, arguments in (("all", []), ("less", ["--out", "wt1"])):
+        assert call("farm", folder / "farm.toml", *arguments, "-o", folder / f"{name}.json").returncode == 0
+    whole, less = (json.loads((folder / f"{name}.json").read_text())["devices"] for name in ("all", "less"))
+    assert [device["name"] for device in less] == ["wt2", "wt3"]
+    assert less[0]["angle_deg"] < whole[1]["angle_deg"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('table = "turbine.parquet"', 'table = "turbin.parquet"'), "turbin.parquet"),
+        (("active_power_mw = 0.85", "active_power_mw = 8.5"), "outside the swept region"),
+        (('bus = "t1"', 'bus = "t11"'), "'t11' is no bus"),
+        (("vn_lv_kv = 0.69", "vn_lv_kv = 690.0"), "kV and V mixed up"),
+        (("[[source]]", "[[sauce]]"), "did you mean 'source'"),
+        (("voltage_kv = 35.0", "voltage_kv ="), "not a TOML file"),
+    ],
+)
+def test_a_wrong_farm_file_is_refused_in_one_line(folder, change, words):
+    text = (EXAMPLE / "farm.toml").read_text("utf-8")
+    (folder / "bad.toml").write_text(text.replace(*change), "utf-8")
+    done = call("farm", folder / "bad.toml")
+    assert done.returncode == 2, done.stderr
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr

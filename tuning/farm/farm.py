@@ -1,0 +1,76 @@
+"""A farm from its document to its answer: load flow, devices where they stand, verdict; and the farm as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...identify.frames import dq_to_pn
+from ...identify.response import FrequencyResponse
+from .document import FarmEntry
+from .judge import FarmVerdict, judge_farm
+from .system import System, system_of
+from .units import FAR, ReadTable, Unit, units_of
+
+
+@dataclass(frozen=True, slots=True)
+class Farm:
+    """A judged farm: what was asked, the devices where they stand, the joined system and the verdict."""
+
+    entry: FarmEntry
+    units: tuple[Unit, ...]
+    system: System
+    judgement: FarmVerdict
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Devices whose terminal voltage is not that of their sweep."""
+        return tuple(
+            f"{unit.name}: its terminal voltage is {100.0 * unit.off:+.1f} % from that of the sweep; sweep it there, "
+            "or give active_power_mw and a table over several voltages"
+            for unit in self.units
+            if abs(unit.off) > FAR
+        )
+
+
+def judged(entry: FarmEntry, read: ReadTable) -> Farm:
+    """Load flow, fit and verdict.
+
+    Raises
+    ------
+    FarmError
+        If tables and farm do not fit, or the load flow has no solution.
+    """
+    units, _ = units_of(entry, read)
+    system = system_of(units, entry.network, entry.f1_hz)
+    return Farm(entry, units, system, judge_farm(system))
+
+
+def seen_from_source(farm: Farm, f_hz: Sequence[float] | np.ndarray) -> FrequencyResponse:
+    """The admittance of the whole farm at the source's bus, the source taken away, current into the farm.
+
+    Notes
+    -----
+    With the source's impedance Zs in place the bus shows Z_t = (Y + Ys)^-1, so Y = Z_t^-1 - Ys. It carries
+    ``stable_on`` the source's impedance where the farm's own verdict on it is "stable", internal modes included.
+    """
+    f = np.asarray(f_hz, dtype=float)
+    entry = farm.entry
+    system = system_of(farm.units, entry.network, entry.f1_hz, [entry.source_bus])
+    s = 2j * np.pi * (f - entry.f1_hz)
+    z = system.impedance(s)
+    total = np.linalg.solve(np.eye(z.shape[1]) + z @ system.admittance(s), z)
+    at = 2 * system.ports.index(entry.source_bus)
+    own = np.linalg.inv(total[:, at : at + 2, at : at + 2]) - np.linalg.inv(_source_dq(entry, s))
+    fact = {"grid": {"r_ohm": entry.source_z_ohm.real, "x_ohm": entry.source_z_ohm.imag}, "basis": "stated"}
+    known = {"stable_on": fact} if farm.judgement.verdict == "stable" else {}
+    return FrequencyResponse(f, dq_to_pn(own), entry.f1_hz, meta={"op_id": "farm", **known})
+
+
+def _source_dq(entry: FarmEntry, s: np.ndarray) -> np.ndarray:
+    w1 = 2.0 * np.pi * entry.f1_hz
+    z, l_h = entry.source_z_ohm, entry.source_z_ohm.imag / w1
+    own = z.real + s * l_h
+    return own[:, None, None] * np.eye(2) + z.imag * np.array([[0.0, -1.0], [1.0, 0.0]])

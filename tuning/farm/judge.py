@@ -1,0 +1,148 @@
+"""Whether a farm is stable: the turns of det(1 + Y Z) over all terminals, and the poles of one pencil, must agree.
+
+    unstable modes = unstable own modes of all devices - counter-clockwise turns of det(1 + Y Z)
+
+The determinant is over every bus with a device, not over the connection point alone: modes between devices, which the
+connection point does not see, are counted. Devices that were never proved stable leave the count open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import erfc, sqrt
+
+import numpy as np
+
+from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
+from ..verdict import Decision
+from ..winding import MAX_STEP_DEG, about, refine_locus
+from .participation import ModeParts, parts_of
+from .system import System
+
+DECIDED = 0.99
+"""Probability from which on a verdict is given."""
+
+MODES = 8
+"""In-band modes that are told, least damped first."""
+
+_FALL = np.geomspace(1.0, 1e4, 25)[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class FarmVerdict:
+    """The judgement of one farm.
+
+    Attributes
+    ----------
+    verdict : "stable", "unstable" or "undecided"
+        What both counts say.
+    reason : str
+        Why, in one sentence.
+    probability : float or None
+        Probability of being stable; None where it is not known.
+    n_unstable_locus : int or None
+        Unstable modes by the locus; None if it could not be followed, or a device's own modes are not known.
+    n_unstable_poles : int
+        Unstable modes by the pencil, inside the band.
+    modes : tuple of ModeParts
+        In-band oscillating modes, least damped first, unstable ones before all.
+    locus_nu_hz, locus : (n,) float, (n,) complex
+        Where the locus was looked at, and its direction.
+    """
+
+    verdict: Decision
+    reason: str
+    probability: float | None
+    n_unstable_locus: int | None
+    n_unstable_poles: int
+    modes: tuple[ModeParts, ...]
+    locus_nu_hz: np.ndarray
+    locus: np.ndarray
+
+    @property
+    def critical(self) -> ModeParts | None:
+        """The mode with the largest real part among those told; None if there is none."""
+        return max(self.modes, key=lambda mode: mode.pole.real, default=None)
+
+
+def judge_farm(system: System) -> FarmVerdict:
+    """Verdict, counts and modes of a farm."""
+    poles = system.poles()
+    believed = poles[np.abs(poles) <= BEYOND * 2.0 * np.pi * system.end_hz]
+    by_poles = int(np.sum(believed.real > 0.0))
+    nu, values = _followed(system, poles)
+    by_locus = _count(system, values)
+    modes = tuple(parts_of(system, pole) for pole in _told(system, believed))
+    verdict, reason, probability = _decided(system, by_locus, by_poles, modes)
+    return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, nu, values)
+
+
+def _followed(system: System, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The locus from |f - f1| = 0 on, refined, seeded by poles, the network's and the devices' own modes, and rows."""
+    own = np.concatenate([unit.model.poles for unit in system.units])
+    rows = np.concatenate([unit.model.nu_hz for unit in system.units])
+    near_f1 = system.f1_hz * np.array([0.98, 1.0, 1.02])
+    seeds = np.concatenate([about(poles), about(own), about(system.network_modes), rows, near_f1])
+    inside = np.unique(np.concatenate([[0.0, system.end_hz], seeds[(seeds > 0.0) & (seeds < system.end_hz)]]))
+    return refine_locus(system.locus, np.concatenate([inside, system.end_hz * _FALL]))
+
+
+def _count(system: System, values: np.ndarray) -> int | None:
+    steps = np.angle(values[1:] / values[:-1])
+    if np.degrees(np.abs(steps).max()) > MAX_STEP_DEG or any(unit.n_unstable is None for unit in system.units):
+        return None
+    own = sum(unit.count * (unit.n_unstable or 0) for unit in system.units)
+    return own - round(float(np.sum(steps)) / np.pi)
+
+
+def _told(system: System, poles: np.ndarray) -> list[complex]:
+    """In-band modes with a peak, and every unstable one; devices' own modes that the network does not move are none."""
+    upper = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi * EDGE * system.end_hz)]
+    damping = -upper.real / np.abs(upper)
+    oscillates = (upper.imag > 2.0 * np.pi * RESONANCE_FROM_HZ) & (damping < RESONANCE_DAMPING)
+    chosen = upper[oscillates | (upper.real > 0.0)]
+    order = np.lexsort((-chosen.real / np.abs(chosen), chosen.real <= 0.0))
+    return [complex(pole) for pole in chosen[order][:MODES]]
+
+
+def _decided(
+    system: System, by_locus: int | None, by_poles: int, modes: tuple[ModeParts, ...]
+) -> tuple[Decision, str, float | None]:
+    open_units = sorted({unit.key for unit in system.units if unit.n_unstable is None})
+    if open_units:
+        text = f"nothing proves whether the device of {open_units[0]} is stable by itself: sweep it again, or import it"
+        return "undecided", f"{text} with --stable-on", None
+    if by_locus is None:
+        return (
+            "undecided",
+            "the locus turns faster than it can be followed: measure the lightly damped modes closer",
+            None,
+        )
+    if by_locus < 0 or by_locus != by_poles:
+        return (
+            "undecided",
+            f"the locus says {by_locus} unstable modes, the poles say {by_poles}: {_where(system, modes)}",
+            None,
+        )
+    probability = _probability(modes)
+    if max(probability, 1.0 - probability) < DECIDED:
+        return "undecided", f"the data leave it open: {_where(system, modes)}", probability
+    if by_poles:
+        return "unstable", f"{by_poles} unstable modes, by locus and by poles", probability
+    return "stable", "no unstable mode, by locus and by poles", probability
+
+
+def _where(system: System, modes: tuple[ModeParts, ...]) -> str:
+    """Which measurement would settle it."""
+    if not modes:
+        return "measure more rows where the devices are active"
+    mode = max(modes, key=lambda m: m.pole.real)
+    nu = mode.pole.imag / (2.0 * np.pi)
+    heaviest = system.units[int(np.argmax(mode.shares))].key
+    return f"measure {heaviest} closer about {system.f1_hz - nu:.4g}/{system.f1_hz + nu:.4g} Hz"
+
+
+def _probability(modes: tuple[ModeParts, ...]) -> float:
+    """Of being stable: that the mode nearest to the edge, in standard errors, lies on the left."""
+    chances = [0.5 * erfc(mode.pole.real / (sqrt(2.0) * max(mode.std.real, 1e-12))) for mode in modes]
+    return float(min(chances, default=1.0))

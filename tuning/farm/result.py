@@ -1,0 +1,117 @@
+"""A judged farm as text for a terminal and as plain JSON values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .farm import Farm
+from .participation import ModeParts, ranked
+
+FORMAT, VERSION = "seqsweep-farm", "1.0.0"
+
+_SHOWN = 3  # modes that a terminal shows
+_Z95 = 1.959963984540054
+
+
+def to_json(farm: Farm) -> dict[str, Any]:
+    """Everything that was found; NaN and infinity are null."""
+    judgement = farm.judgement
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "farm": farm.entry.name,
+        "f1_hz": farm.entry.f1_hz,
+        "verdict": judgement.verdict,
+        "reason": judgement.reason,
+        "probability_stable": judgement.probability,
+        "n_unstable_locus": judgement.n_unstable_locus,
+        "n_unstable_poles": judgement.n_unstable_poles,
+        "devices": [_unit_json(farm, k) for k in range(len(farm.units))],
+        "modes": [_mode_json(farm, mode) for mode in judgement.modes],
+        "warnings": list(farm.warnings),
+    }
+
+
+def _unit_json(farm: Farm, k: int) -> dict[str, Any]:
+    unit = farm.units[k]
+    return {
+        "name": unit.name,
+        "bus": unit.bus,
+        "table": unit.key,
+        "count": unit.count,
+        "terminal_voltage_v": unit.voltage_v,
+        "angle_deg": float(np.degrees(unit.angle_rad)),
+        "active_power_out_w": -unit.power_va.real,
+        "reactive_power_out_var": -unit.power_va.imag,
+        "voltage_off_sweep": unit.off if np.isfinite(unit.off) else None,
+        "own_unstable_modes": unit.n_unstable,
+    }
+
+
+def _mode_json(farm: Farm, mode: ModeParts) -> dict[str, Any]:
+    nu = mode.pole.imag / (2.0 * np.pi)
+    return {
+        "sigma_per_s": mode.pole.real,
+        "sigma_half_95_per_s": _Z95 * mode.std.real,
+        "f_dq_hz": nu,
+        "f_half_95_hz": _Z95 * mode.std.imag / (2.0 * np.pi),
+        "seen_at_hz": [farm.entry.f1_hz - nu, farm.entry.f1_hz + nu],
+        "damping": -mode.pole.real / abs(mode.pole),
+        "devices": {
+            unit.name: {"share": float(share), "re_per_s": value.real, "im_per_s": value.imag}
+            for unit, share, value in zip(farm.units, mode.shares, mode.devices, strict=True)
+        },
+        "buses": {
+            bus: {"re_per_s_per_s": value.real, "im_per_s_per_s": value.imag}
+            for bus, value in zip(farm.system.ports, mode.buses, strict=True)
+        },
+        "branches": {
+            branch.name: {"re_per_s": value.real, "im_per_s": value.imag}
+            for branch, value in zip(farm.system.network.branches, mode.branches, strict=True)
+        },
+    }
+
+
+def text_of(farm: Farm) -> str:
+    """Load flow, verdict and the modes with who takes part in them, within 80 columns."""
+    judgement = farm.judgement
+    chance = "" if judgement.probability is None else f" (probability of being stable {judgement.probability:.3g})"
+    lines = [
+        f"{farm.entry.name}: {len(farm.units)} devices, source {farm.entry.source_voltage_v:.5g} V behind "
+        f"{farm.entry.source_z_ohm.real:.4g} + j{farm.entry.source_z_ohm.imag:.4g} ohm",
+        "",
+        *_flow_lines(farm),
+        "",
+        f"{judgement.verdict}{chance}: {judgement.reason}",
+    ]
+    for mode in judgement.modes[:_SHOWN]:
+        lines += ["", *_mode_lines(farm, mode)]
+    if len(judgement.modes) > _SHOWN:
+        lines += ["", f"{len(judgement.modes) - _SHOWN} further modes are in the JSON (-o)."]
+    return "\n".join([*lines, *(f"warning: {text}" for text in farm.warnings)])
+
+
+def _flow_lines(farm: Farm) -> list[str]:
+    width = max(6, *(len(unit.name) for unit in farm.units))
+    head = f"{'device':<{width}}  {'P out MW':>9}  {'Q out Mvar':>10}  {'|v| V':>8}  {'angle deg':>9}"
+    rows = [
+        f"{u.name:<{width}}  {-u.power_va.real / 1e6:9.4f}  {-u.power_va.imag / 1e6:10.4f}  {u.voltage_v:8.2f}  "
+        f"{np.degrees(u.angle_rad):9.3f}"
+        for u in farm.units
+    ]
+    return [head, "-" * len(head), *rows]
+
+
+def _mode_lines(farm: Farm, mode: ModeParts) -> list[str]:
+    nu = mode.pole.imag / (2.0 * np.pi)
+    head = (
+        f"mode at {farm.entry.f1_hz - nu:.4g}/{farm.entry.f1_hz + nu:.4g} Hz: sigma {mode.pole.real:+.4g} "
+        f"+- {_Z95 * mode.std.real:.2g} 1/s, damping {-100.0 * mode.pole.real / abs(mode.pole):.2f} %"
+    )
+    most = ranked(list(mode.shares))[:5]
+    parts = ", ".join(f"{farm.units[k].name} {100.0 * mode.shares[k]:.0f} %" for k in most)
+    worse = [farm.units[k].name for k in most if mode.devices[k].real > 0.0]
+    growing = f"; more of {', '.join(worse)} makes it less damped" if worse else ""
+    return [head, f"  takes part: {parts}{growing}"]

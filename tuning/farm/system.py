@@ -1,0 +1,159 @@
+"""Devices and network as one linear system in the common dq frame: poles from a pencil, a locus from determinants.
+
+A unit's admittance stands in the frame of its own terminal voltage; in the common frame it is R(d) Y R(-d), d the angle
+by which that voltage leads. The network is one real phase-frame descriptor, seen from the buses that carry devices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...identify.fit.rational import evaluate
+from ..network.assembly import Network, assemble, port_impedance
+from ..network.descriptor import Descriptor, J, rotating
+from ..poles import states
+from .units import Unit
+
+UNDAMPED = 1e-9
+"""Network modes with a smaller damping ratio lie on the axis."""
+
+_INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
+
+
+@dataclass(frozen=True)
+class System:
+    """A farm ready to be judged.
+
+    Attributes
+    ----------
+    units : tuple of Unit
+        The devices.
+    network : Network
+        Equipment, the source as ground.
+    ports : tuple of str
+        Buses whose voltages and currents are looked at; every device's bus is one of them.
+    f1_hz : float
+        Fundamental (Hz).
+    """
+
+    units: tuple[Unit, ...]
+    network: Network
+    ports: tuple[str, ...]
+    f1_hz: float
+
+    @property
+    def w1_rad_s(self) -> float:
+        """Fundamental angular frequency (rad/s)."""
+        return 2.0 * np.pi * self.f1_hz
+
+    @property
+    def end_hz(self) -> float:
+        """The highest |f - f1| that every device was swept to (Hz)."""
+        return float(min(unit.model.nu_hz[-1] for unit in self.units))
+
+    def place(self, unit: Unit) -> slice:
+        """Rows of a unit's bus among the ports' (d, q) pairs."""
+        k = self.ports.index(unit.bus)
+        return slice(2 * k, 2 * k + 2)
+
+    @cached_property
+    def _phase(self) -> Descriptor:
+        return assemble(self.network, self.ports)
+
+    @cached_property
+    def descriptor(self) -> Descriptor:
+        """The network in the common dq frame, currents drawn at the ports in, their voltages out."""
+        return rotating(self._phase, self.w1_rad_s)
+
+    @cached_property
+    def network_modes(self) -> np.ndarray:
+        """Own modes of the network in dq (rad/s), conjugates included."""
+        poles = _finite_eigenvalues(self._phase.a, self._phase.e, 0.7 * self.w1_rad_s)
+        return np.concatenate([poles - 1j * self.w1_rad_s, poles + 1j * self.w1_rad_s])
+
+    def impedance(self, s: np.ndarray) -> np.ndarray:
+        """Zdq (n, 2p, 2p) in ohm of the ports at complex ``s`` (n,) in rad/s."""
+        s = np.atleast_1d(np.asarray(s, dtype=complex))
+        z1 = port_impedance(self.network, self.ports, s + 1j * self.w1_rad_s)
+        z2 = port_impedance(self.network, self.ports, s - 1j * self.w1_rad_s)
+        own, turned = (z1 + z2) / 2.0, (z1 - z2) / 2j
+        return _kron(own, np.eye(2)) + _kron(turned, J)
+
+    def admittance(self, s: np.ndarray) -> np.ndarray:
+        """Ydq (n, 2p, 2p) in S of all devices at the ports, block-diagonal, in the common frame."""
+        s = np.atleast_1d(np.asarray(s, dtype=complex))
+        total = np.zeros((len(s), 2 * len(self.ports), 2 * len(self.ports)), dtype=complex)
+        of_model = {id(unit.model): evaluate(unit.model, s) for unit in self.units}
+        for unit in self.units:
+            at = self.place(unit)
+            total[:, at, at] += unit.factor * (unit.turn @ of_model[id(unit.model)] @ unit.turn.T)
+        return total
+
+    def locus(self, nu_hz: np.ndarray) -> np.ndarray:
+        """Direction of det(1 + Y Z), cleared of the network's poles on the axis, for |f - f1| from zero on (Hz).
+
+        Beyond the band the gain is let fall off, as `winding` does for one device.
+        """
+        part = np.minimum(self.end_hz / np.maximum(nu_hz, 1e-300), 1.0)
+        s = 2j * np.pi * np.minimum(nu_hz, self.end_hz)
+        gain = part[:, None, None] * (self.admittance(s) @ self.impedance(s))
+        sign, _ = np.linalg.slogdet(np.eye(gain.shape[1]) + gain)
+        return sign * np.exp(1j * part * self._clearing_angle(s))
+
+    def _clearing_angle(self, s: np.ndarray) -> np.ndarray:
+        """Angle (n,) of the product of (s - j w)/(s + w1) over the network's poles j w on the axis."""
+        modes = self.network_modes
+        axis = 1j * modes.imag[np.abs(modes.real) <= UNDAMPED * np.maximum(np.abs(modes), self.w1_rad_s)]
+        return np.sum(np.angle((s[:, None] - axis) / (s[:, None] + self.w1_rad_s)), axis=1)
+
+    def poles(self) -> np.ndarray:
+        """Closed-loop poles (m,) in rad/s, dq, conjugates included: finite eigenvalues of one pencil.
+
+        x_i' = A_i x_i + B_i R(-d_i) v,  u = sum_i R(d_i) (C_i x_i + D_i R(-d_i) v + E_i R(-d_i) v'),
+        Eg xg' = Ag xg + Bg u,  v = Cg xg.
+        """
+        behind = self.descriptor
+        spaces = [states(unit.model) for unit in self.units]
+        counts = np.cumsum([0, *(len(a) for a, _, _ in spaces)])
+        n, p = int(counts[-1]), 2 * len(self.ports)
+        size = n + p + len(behind.a)
+        m, e = np.zeros((size, size), dtype=complex), np.zeros((size, size), dtype=complex)
+        current, network = slice(n, n + p), slice(n + p, None)
+        m[current, current], m[network, current] = np.eye(p), behind.b
+        m[network, network], e[network, network] = behind.a, behind.e
+        e[:n, :n] = np.eye(n)
+        for unit, (a, b, c), start in zip(self.units, spaces, counts, strict=False):
+            state, at, turn = slice(start, start + len(a)), self.place(unit), unit.turn
+            rows, seen = slice(n + at.start, n + at.stop), turn.T @ behind.c[at]
+            m[state, state], m[state, network] = np.diag(a), b @ seen
+            m[rows, state] = -unit.factor * turn @ c
+            m[rows, network] -= unit.factor * turn @ unit.model.d @ seen
+            e[rows, network] += unit.factor * turn @ unit.model.e @ seen
+        return _finite_eigenvalues(m, e, 0.7 * self.w1_rad_s)
+
+
+def system_of(units: Sequence[Unit], network: Network, f1_hz: float, more_ports: Sequence[str] = ()) -> System:
+    """Devices and network joined; ``more_ports`` are buses without a device that are looked at as well."""
+    ports = tuple(dict.fromkeys([*(unit.bus for unit in units), *more_ports]))
+    return System(tuple(units), network, ports, f1_hz)
+
+
+def _kron(blocks: np.ndarray, small: np.ndarray) -> np.ndarray:
+    """Kronecker product of a stack (n, p, p) with (2, 2)."""
+    n, p, _ = blocks.shape
+    return np.einsum("nij,kl->nikjl", blocks, small).reshape(n, 2 * p, 2 * p)
+
+
+def _finite_eigenvalues(a: np.ndarray, e: np.ndarray, about: float) -> np.ndarray:
+    """Eigenvalues s of (A, E), inverted about a point in the right half-plane, the infinite ones left out."""
+    size = 1.0 / np.maximum(np.abs(a).max(axis=1), np.abs(e).max(axis=1) * about)[:, None]
+    a, e = a * size, e * size
+    inverse = np.linalg.eigvals(np.linalg.solve(a - about * e, e))
+    poles = about + 1.0 / inverse[np.abs(inverse) > 1.0 / _INFINITE]
+    real = np.abs(poles.imag) < 1e-9 * np.abs(poles)
+    poles[real] = poles[real].real
+    return poles

@@ -1,0 +1,209 @@
+"""The devices of a farm as they are judged: tables read and fitted once, each at its own operating point.
+
+A device whose entry gives a power takes Y from the surrogate of its table at the terminal voltage of the load flow; one
+whose entry names an operating point takes that point's rows, and what its terminal voltage is off by is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...identify.fit.dq_data import to_dq
+from ...identify.fit.model import fit_response
+from ...identify.fit.rational import RationalModel
+from ...identify.response import FrequencyResponse
+from ...identify.surrogate.surrogate import Surrogate, build_surrogate
+from ...identify.table.read import Table
+from ...plant.errors import nearest
+from ..anchor import anchor_of
+from ..rows import rows_of
+from .document import DeviceEntry, FarmEntry, FarmError
+from .loadflow import LoadFlow, load_flow
+
+FAR = 0.005
+"""A terminal voltage further from that of the sweep than this part is warned about."""
+
+ReadTable = Callable[[str], Table]
+
+
+class Source(NamedTuple):
+    """What a device's entry is served from: rows of one operating point, or a surrogate over many."""
+
+    key: str
+    response: FrequencyResponse | None
+    surrogate: Surrogate | None
+    bases: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One device of the farm, fitted.
+
+    Attributes
+    ----------
+    name, bus : str
+        As in the farm file.
+    key : str
+        Table and operating point; units with the same key share one fit and its errors.
+    model : RationalModel
+        Y of the swept device in its own frame, d on its terminal voltage.
+    factor : float
+        What Y is multiplied with: rating times the number of equal devices in parallel.
+    count : int
+        Equal devices in parallel.
+    n_unstable : int or None
+        Unstable modes of one device's own; None if nothing was proved.
+    angle_rad : float
+        By how much its terminal voltage leads the source.
+    voltage_v : float
+        Its terminal voltage (V, line-to-line RMS).
+    power_va : complex
+        What it draws (VA).
+    off : float
+        By what part its terminal voltage differs from that of the sweep; NaN where the table does not say.
+    """
+
+    name: str
+    bus: str
+    key: str
+    model: RationalModel
+    factor: float
+    count: int
+    n_unstable: int | None
+    angle_rad: float
+    voltage_v: float
+    power_va: complex
+    off: float
+
+    @property
+    def turn(self) -> np.ndarray:
+        """(2, 2) rotation from the unit's frame to the common one."""
+        c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
+        return np.array([[c, -s], [s, c]])
+
+
+def units_of(farm: FarmEntry, read: ReadTable) -> tuple[tuple[Unit, ...], LoadFlow]:
+    """Load flow of the farm, then every device fitted where it stands.
+
+    Parameters
+    ----------
+    farm : FarmEntry
+        The farm.
+    read : callable
+        File name of a device's table to the table.
+
+    Raises
+    ------
+    FarmError
+        If a table does not fit its entry, or the load flow has no solution.
+    """
+    read = cache(read)
+    build = cache(lambda name: build_surrogate(read(name).responses))
+    sources = [_source(entry, read, build, farm) for entry in farm.devices]
+    flow = load_flow(farm, lambda v: _drawn(farm, sources, v))
+    fitted: dict[str, tuple[RationalModel, int | None]] = {}
+    units = []
+    for k, (entry, source) in enumerate(zip(farm.devices, sources, strict=True)):
+        response, key = _response_at(entry, source, flow, k)
+        if key not in fitted:
+            fitted[key] = _fit(response)
+        model, n_unstable = fitted[key]
+        units.append(
+            Unit(
+                name=entry.name,
+                bus=entry.bus,
+                key=key,
+                model=model,
+                factor=entry.rating * entry.count,
+                count=entry.count,
+                n_unstable=n_unstable,
+                angle_rad=float(np.angle(flow.voltage_v[k])),
+                voltage_v=float(abs(flow.voltage_v[k])),
+                power_va=complex(flow.power_va[k]),
+                off=_off(response, source, float(abs(flow.voltage_v[k]))),
+            )
+        )
+    return tuple(units), flow
+
+
+def _source(entry: DeviceEntry, read: ReadTable, build: Callable[[str], Surrogate], farm: FarmEntry) -> Source:
+    table = read(entry.table)
+    f1_hz, bases = table.meta["f1_hz"], table.meta["bases"]
+    if f1_hz != farm.f1_hz:
+        raise FarmError(f"{entry.name}: the table's fundamental is {f1_hz:g} Hz, the farm's {farm.f1_hz:g} Hz")
+    rated = bases.get("rated_voltage_v")
+    ratio = farm.voltages_v[entry.bus] / rated if rated else 1.0
+    if not 0.7 < ratio < 1.4:
+        raise FarmError(
+            f"{entry.name}: its table is of a device of {rated:g} V, bus {entry.bus!r} has "
+            f"{farm.voltages_v[entry.bus]:g} V: the device stands behind a transformer, or kV and V are mixed up"
+        )
+    if entry.active_power_mw is not None:
+        surrogate = build(entry.table)
+        middle = (surrogate.region.low[2] + surrogate.region.high[2]) / 2.0
+        surrogate.check_inside([entry.active_power_mw, entry.reactive_power_mvar, middle], entry.name)
+        return Source(entry.table, None, surrogate, bases)
+    if entry.op is None and len(table.op_ids) > 1:
+        raise FarmError(
+            f"{entry.name}: {entry.table} holds {len(table.op_ids)} operating points; give op, or active_power_mw"
+        )
+    op = entry.op or table.op_ids[0]
+    if op not in table.op_ids:
+        raise FarmError(f"{entry.name}: no operating point {op!r} in {entry.table}{nearest(op, table.op_ids)}")
+    return Source(f"{entry.table}:{op}", table.response(op), None, bases)
+
+
+def _drawn(farm: FarmEntry, sources: list[Source], voltage_v: np.ndarray) -> np.ndarray:
+    """Complex power (n,) in VA that each device draws at its terminal voltage."""
+    drawn = [
+        entry.rating * entry.count * _power(entry, source, float(v))
+        for entry, source, v in zip(farm.devices, sources, voltage_v, strict=True)
+    ]
+    return np.array(drawn)
+
+
+def _power(entry: DeviceEntry, source: Source, voltage_v: float) -> complex:
+    if source.surrogate is not None:
+        return _predicted_power(entry, source.surrogate, voltage_v / source.bases["rated_voltage_v"], voltage_v)
+    assert source.response is not None
+    facts = source.response.meta.get("fundamental")
+    if facts:
+        return complex(facts["active_power_into_device_w"], facts["reactive_power_into_device_var"])
+    power = source.response.meta.get("active_power_mw")
+    if power is None:
+        raise FarmError(f"{entry.name}: {source.key} does not say its power; sweep it again, or give active_power_mw")
+    return complex(-1e6 * power, 0.0)
+
+
+def _predicted_power(entry: DeviceEntry, surrogate: Surrogate, v_pu: float, voltage_v: float) -> complex:
+    """By the surrogate of the terminal current; beyond the region's voltages, on the way to a solution, by its end."""
+    held = float(np.clip(v_pu, surrogate.region.low[2], surrogate.region.high[2]))
+    point = np.array([[entry.active_power_mw, entry.reactive_power_mvar, held]])
+    current = complex(surrogate.terminal_current(point)[0])
+    return -np.sqrt(3.0) * voltage_v * held / v_pu * current.conjugate()
+
+
+def _response_at(entry: DeviceEntry, source: Source, flow: LoadFlow, k: int) -> tuple[FrequencyResponse, str]:
+    if source.surrogate is None:
+        assert source.response is not None
+        return source.response, source.key
+    v_pu = float(abs(flow.voltage_v[k])) / source.bases["rated_voltage_v"]
+    point = [entry.active_power_mw or 0.0, entry.reactive_power_mvar, v_pu]
+    response = source.surrogate.response(point)
+    return response, f"{source.key}:{response.meta['op_id']}"
+
+
+def _fit(response: FrequencyResponse) -> tuple[RationalModel, int | None]:
+    anchor = anchor_of(response.meta, rows_of(to_dq(response)), response.f1_hz)
+    return fit_response(response, n_unstable=anchor.n_unstable), anchor.n_unstable
+
+
+def _off(response: FrequencyResponse, source: Source, voltage_v: float) -> float:
+    swept = response.meta.get("terminal_voltage_pu")
+    rated = source.bases.get("rated_voltage_v")
+    return voltage_v / (swept * rated) - 1.0 if swept and rated else float("nan")
