@@ -15,7 +15,7 @@ import numpy as np
 
 from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
 from ..verdict import Decision
-from ..winding import MAX_STEP_DEG, about, refine_locus
+from .locus import Followed, follow
 from .participation import ModeParts, parts_of
 from .system import System
 
@@ -24,8 +24,6 @@ DECIDED = 0.99
 
 MODES = 8
 """In-band modes that are told, least damped first."""
-
-_FALL = np.geomspace(1.0, 1e4, 25)[1:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +44,10 @@ class FarmVerdict:
         Unstable modes by the pencil, inside the band.
     modes : tuple of ModeParts
         In-band oscillating modes, least damped first, unstable ones before all.
-    locus_nu_hz, locus : (n,) float, (n,) complex
-        Where the locus was looked at, and its direction.
+    turns_hz : (n,) float
+        |f - f1| from zero on where the determinant was looked at (Hz).
+    turns : (n,) float
+        Counter-clockwise turns of its half axis up to there.
     """
 
     verdict: Decision
@@ -56,8 +56,8 @@ class FarmVerdict:
     n_unstable_locus: int | None
     n_unstable_poles: int
     modes: tuple[ModeParts, ...]
-    locus_nu_hz: np.ndarray
-    locus: np.ndarray
+    turns_hz: np.ndarray
+    turns: np.ndarray
 
     @property
     def critical(self) -> ModeParts | None:
@@ -70,29 +70,18 @@ def judge_farm(system: System) -> FarmVerdict:
     poles = system.poles()
     believed = poles[np.abs(poles) <= BEYOND * 2.0 * np.pi * system.end_hz]
     by_poles = int(np.sum(believed.real > 0.0))
-    nu, values = _followed(system, poles)
-    by_locus = _count(system, values)
+    locus = follow(system, poles)
+    by_locus = _count(system, locus)
     modes = tuple(parts_of(system, pole) for pole in _told(system, believed))
     verdict, reason, probability = _decided(system, by_locus, by_poles, modes)
-    return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, nu, values)
+    return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, locus.nu_hz, locus.turns)
 
 
-def _followed(system: System, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The locus from |f - f1| = 0 on, refined, seeded by poles, the network's and the devices' own modes, and rows."""
-    own = np.concatenate([unit.model.poles for unit in system.units])
-    rows = np.concatenate([unit.model.nu_hz for unit in system.units])
-    near_f1 = system.f1_hz * np.array([0.98, 1.0, 1.02])
-    seeds = np.concatenate([about(poles), about(own), about(system.network_modes), rows, near_f1])
-    inside = np.unique(np.concatenate([[0.0, system.end_hz], seeds[(seeds > 0.0) & (seeds < system.end_hz)]]))
-    return refine_locus(system.locus, np.concatenate([inside, system.end_hz * _FALL]))
-
-
-def _count(system: System, values: np.ndarray) -> int | None:
-    steps = np.angle(values[1:] / values[:-1])
-    if np.degrees(np.abs(steps).max()) > MAX_STEP_DEG or any(unit.n_unstable is None for unit in system.units):
+def _count(system: System, locus: Followed) -> int | None:
+    """Unstable modes by the locus; the other half of the axis is its conjugate, so that a turn counts twice."""
+    if not locus.trusted or any(unit.n_unstable is None for unit in system.units):
         return None
-    own = sum(unit.count * (unit.n_unstable or 0) for unit in system.units)
-    return own - round(float(np.sum(steps)) / np.pi)
+    return sum(unit.count * (unit.n_unstable or 0) for unit in system.units) - round(2.0 * locus.total)
 
 
 def _told(system: System, poles: np.ndarray) -> list[complex]:

@@ -93,19 +93,14 @@ class System:
             total[:, at, at] += unit.factor * (unit.turn @ of_model[id(unit.model)] @ unit.turn.T)
         return total
 
-    def locus(self, nu_hz: np.ndarray) -> np.ndarray:
-        """Direction of det(1 + Y Z), cleared of the network's poles on the axis, for |f - f1| from zero on (Hz).
+    def loop(self, nu_hz: np.ndarray) -> np.ndarray:
+        """1 + Y Z (n, 2p, 2p) over all ports for |f - f1| in Hz, inside the band."""
+        s = 2j * np.pi * nu_hz
+        return np.eye(2 * len(self.ports)) + self.admittance(s) @ self.impedance(s)
 
-        Beyond the band the gain is let fall off, as `winding` does for one device.
-        """
-        part = np.minimum(self.end_hz / np.maximum(nu_hz, 1e-300), 1.0)
-        s = 2j * np.pi * np.minimum(nu_hz, self.end_hz)
-        gain = part[:, None, None] * (self.admittance(s) @ self.impedance(s))
-        sign, _ = np.linalg.slogdet(np.eye(gain.shape[1]) + gain)
-        return sign * np.exp(1j * part * self._clearing_angle(s))
-
-    def _clearing_angle(self, s: np.ndarray) -> np.ndarray:
-        """Angle (n,) of the product of (s - j w)/(s + w1) over the network's poles j w on the axis."""
+    def clearing_angle(self, nu_hz: np.ndarray) -> np.ndarray:
+        """Angle (n,) in rad of the product of (s - j w)/(s + w1) over the network's poles j w on the axis."""
+        s = 2j * np.pi * nu_hz
         modes = self.network_modes
         axis = 1j * modes.imag[np.abs(modes.real) <= UNDAMPED * np.maximum(np.abs(modes), self.w1_rad_s)]
         return np.sum(np.angle((s[:, None] - axis) / (s[:, None] + self.w1_rad_s)), axis=1)
