@@ -92,7 +92,7 @@ def test_every_mode_in_the_band_is_an_exact_one(three):
     assert max(nearest(mode.pole, truth) for mode in farm.judgement.modes) < 2e-3
 
 
-@pytest.mark.parametrize("x_source", [0.05, 0.085, 0.11, 0.14])
+@pytest.mark.parametrize("x_source", [0.05, 0.14, 0.16, 0.18])
 def test_locus_poles_and_truth_count_alike(x_source):
     farm, truth, _ = farm_and_truth(Star(STAR.z_t, STAR.c_f, complex(0.004, x_source)), [0.5e6, 0.7e6])
     n = int(np.sum(truth.real > 0.0))
@@ -150,7 +150,7 @@ def test_farm_s_own_table_behaves_as_the_farm(three):
 
 
 def test_an_unstable_farm_s_table_claims_nothing():
-    farm, _, _ = farm_and_truth(Star(STAR.z_t, STAR.c_f, 0.004 + 0.14j), [0.5e6, 0.7e6])
+    farm, _, _ = farm_and_truth(Star(STAR.z_t, STAR.c_f, 0.004 + 0.17j), [0.5e6, 0.7e6])
     assert farm.judgement.verdict == "unstable"
     assert "stable_on" not in seen_from_source(farm, F_HZ).meta
 
