@@ -41,12 +41,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def write_json(content: Mapping[str, Any], path: str | Path) -> None:
-    """Write plain values as JSON, atomically; NaN and infinity are no JSON and raise."""
-    import json
-
-    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-    with atomic_file(path) as file:
-        file.write(text.encode())

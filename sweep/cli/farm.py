@@ -36,7 +36,7 @@ def farm(
     found = _judged(document, out or [])
     typer.echo(text_of(found))
     if output is not None:
-        write_json(to_json(found), output)
+        write_json(output, to_json(found))
     if table is not None:
         _write_table(found, table, document)
     if plot is not None:
