@@ -11,8 +11,10 @@ from .line_fit import Line, Waveforms, dirichlet
 SPECTRUM_SAMPLES = 1 << 16
 """Longest stretch in which lines of the background are looked for."""
 
-MOST_VALUES = 1 << 23
-"""Values of all exponentials at a time: many lines are looked for in a shorter stretch."""
+PORTION = 1 << 12
+"""Samples whose exponentials are held at a time."""
+
+ROUNDS = 3
 
 ABOVE_NOISE = 6.0
 """A line of the background stands this much above the median of its neighbourhood."""
@@ -20,27 +22,37 @@ ABOVE_NOISE = 6.0
 LEAST_LINE = 1e-5
 """Lines of the background smaller than this part of the tone do no harm."""
 
-MOST_LINES = 40
+MOST_LINES = 160
 
 APART = 0.75
 """Offset and unbalance are told from a tone this many cycles away over the whole stretch."""
 
 
 def background_lines(waveforms: Waveforms, start: int, stop: int, own: list[Line], f1_hz: float) -> list[Line]:
-    """Offset, unbalance and every further line that stands above the noise, as multiples of f1 where they are."""
-    n = min(stop - start, SPECTRUM_SAMPLES, MOST_VALUES // len(own))
+    """Offset, unbalance and every further line that stands above the noise, as multiples of f1 where they are.
+
+    What several tones make of one another stands in every gap between them; there it is looked for again when the
+    strongest lines are off.
+    """
+    n = min(stop - start, SPECTRUM_SAMPLES)
     record = waveforms.record(stop - n, stop)
+    channels = tuple(np.where(np.isfinite(x), x, 0.0) for x in (record.v, record.i))
     resolution = 1.0 / (n * waveforms.dt_s)
     apart_hz = APART / ((stop - start) * waveforms.dt_s)
     known = [line.at(f1_hz) for line in own]
     fixed = (Line(0, 0.0), Line(-1, 0.0))
     extra = [line for line in fixed if min(abs(line.at(f1_hz) - f) for f in known) > apart_hz]
     known += [line.at(f1_hz) for line in extra]
-    for f_hz in _peaks((record.v, record.i), waveforms.dt_s, known, n):
-        line = _named(f_hz, f1_hz, own, 1.5 * resolution)
-        if min(abs(line.at(f1_hz) - f) for f in known) > 2.5 * resolution:
-            extra.append(line)
-            known.append(line.at(f1_hz))
+    for _ in range(ROUNDS if len(own) > 3 else 1):
+        before = len(extra)
+        for f_hz in _peaks(channels, waveforms.dt_s, known, n):
+            line = _named(f_hz, f1_hz, own, 1.5 * resolution)
+            apart = np.min(np.abs(line.at(f1_hz) - np.array(known)))
+            if apart > 2.5 * resolution and len(extra) < MOST_LINES:
+                extra.append(line)
+                known.append(line.at(f1_hz))
+        if len(extra) == before:
+            break
     return extra
 
 
@@ -61,9 +73,8 @@ def _peaks(channels: tuple[np.ndarray, ...], dt_s: float, known_hz: list[float],
     """Frequencies of lines above the noise, strongest first, but for those known."""
     found: dict[float, float] = {}
     window = np.hanning(n) / (0.5 * n)
-    basis, inverse_gram = line_basis(known_hz, dt_s, n)
     for x in channels:
-        clean, lines = taken_off(np.where(np.isfinite(x), x, 0.0), basis, inverse_gram)
+        clean, lines = _without_lines(x, known_hz, dt_s)
         size = np.abs(np.fft.fft(clean * window))
         tone = float(np.max(np.abs(lines[1:3]), initial=0.0))
         floor = np.maximum(ABOVE_NOISE * neighbourhood(size), LEAST_LINE * tone)
@@ -71,6 +82,26 @@ def _peaks(channels: tuple[np.ndarray, ...], dt_s: float, known_hz: list[float],
         for k in np.flatnonzero(top):
             found[interpolated(size, int(k)) / (n * dt_s)] = float(size[k] / floor[k])
     return sorted(found, key=lambda f: -found[f])[:MOST_LINES]
+
+
+def _without_lines(x: np.ndarray, lines_hz: Sequence[float], dt_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """`taken_off` with exponentials of ``lines_hz`` (k,), a portion of them at a time."""
+    n, portions = len(x), range(0, len(x), PORTION)
+    shift = [first + 0.5 * (min(PORTION, n - first) - 1) - 0.5 * (n - 1) for first in portions]
+    turn = [np.exp(2j * np.pi * dt_s * s * np.asarray(lines_hz)) for s in shift]  # to the middle of a portion
+    local = [np.array([_exponential(f, dt_s, m) for f in lines_hz]) for m in {PORTION, n - portions[-1]}]
+    basis = {each.shape[1]: each for each in local}
+    heard = np.zeros(len(lines_hz), dtype=complex)
+    for first, t in zip(portions, turn, strict=True):
+        part = x[first : first + PORTION]
+        heard += t.conj() * np.einsum("kn,n->k", basis[len(part)], part.conj()).conj()
+    gram = dirichlet(np.pi * dt_s * np.subtract.outer(lines_hz, lines_hz), n)
+    a = np.einsum("kj,j->k", np.linalg.pinv(gram, rcond=1e-12, hermitian=True), heard)
+    left = [
+        x[first : first + PORTION] - np.einsum("k,kn->n", a * t, basis[min(PORTION, n - first)])
+        for first, t in zip(portions, turn, strict=True)
+    ]
+    return np.concatenate(left), a
 
 
 def line_basis(lines_hz: Sequence[float], dt_s: float, n: int) -> tuple[np.ndarray, np.ndarray]:

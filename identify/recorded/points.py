@@ -24,6 +24,9 @@ UNSETTLED = 3e-3
 SLIP = 1e-3
 """Cycles over a window by which a row may differ from the one that was asked for and still be called by its name."""
 
+COMMON = 0.5
+"""A line of another recording that is at least this part of a tone says that the tone is none."""
+
 COINCIDENT = 0.01
 """Background at the place of a tone or its mirror, relative to the tone, that spoils a point."""
 
@@ -89,6 +92,42 @@ def points_of(experiments: Sequence[Experiment], f1_hz: float) -> list[Point]:
     ]
     background = _background(groups)
     return [_spoiled(point, groups[n], n, background) for point, (_, n) in zip(points, rows, strict=True)]
+
+
+def without_common_lines(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[str]]:
+    """Experiments without lines that several recordings have and none has the mirror of, and what was left out.
+
+    Such a line is the network's or the device's own. Nothing is left out that a manifest asked for, or where no point
+    is complete: then the mirror experiments are missing altogether.
+    """
+    groups = _groups(experiments)
+    one_sided = [group for group in groups if group[0].serves_hz is None and _one_sided(group)]
+    common = [group for group in one_sided if len(group) > 1 or _in_background(group[0], experiments)]
+    if len(common) == len(groups) or not any(len(group) > 1 and not _one_sided(group) for group in groups):
+        return list(experiments), []
+    left_out = {id(experiment) for group in common for experiment in group}
+    words = [
+        f"not used: a line at {group[0].heard.f_hz:.6g} Hz, which several stretches have and none its mirror"
+        for group in common
+    ]
+    return [experiment for experiment in experiments if id(experiment) not in left_out], words
+
+
+def _in_background(experiment: Experiment, others: Sequence[Experiment]) -> bool:
+    """Whether another recording has a line where this one has its tone, at least half as large."""
+    size = COMMON * np.max(np.abs(experiment.heard.v))
+    for other in others:
+        apart = np.abs(other.heard.background_hz - other.heard.f1_hz - _distance(experiment))
+        near = apart * min(other.heard.window_s, experiment.heard.window_s) < 1.0
+        if other.name != experiment.name and np.any(np.abs(other.heard.background[near]) > size):
+            return True
+    return False
+
+
+def _one_sided(group: list[Experiment]) -> bool:
+    """Whether all experiments of a group stand on one side of the fundamental and say the same."""
+    sides = [_turned(e, group[0].heard.f_hz, e.heard.f1_hz) for e in group]
+    return len({np.sign(_distance(e)) for e in group}) < 2 and (len(group) < 2 or _dependent(sides))
 
 
 def broadband_points(records: Sequence[Local], f1_hz: float) -> list[Point]:
@@ -177,9 +216,8 @@ def _apart(group: list[Experiment]) -> bool:
 
 def _solve(group: list[Experiment], f_hz: float, f1_hz: float, slope: tuple[np.ndarray, np.ndarray] | None) -> Point:
     sides = [_turned(e, f_hz, f1_hz) for e in group]
-    directions = {np.sign(_distance(e)) for e in group}
     blank = _blank(group, f_hz)
-    if len(group) < 2 or (len(directions) < 2 and _dependent(sides)):
+    if len(group) < 2 or _one_sided(group):
         return replace(blank, status="failed", reason=_missing(group))
     v = np.array([_components(side.v, side.phi1) for side in sides])
     i = np.array([_components(side.i, side.phi1) for side in sides])

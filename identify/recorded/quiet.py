@@ -26,6 +26,9 @@ from .tones import Doubt, Heard, segment_steps
 LEAST_S = 0.1
 """A shorter stretch tells nothing of what was there before."""
 
+SAME_BIN = 0.2
+"""Part of a bin of the quiet stretch within which a line is the same."""
+
 SIGNIFICANT = 3.0
 """A line is there where it is larger than this many of its standard deviations."""
 
@@ -69,12 +72,16 @@ class Quiet(NamedTuple):
     freedom: np.ndarray
     window_s: float
 
-    def at(self, f_hz: float, f1_hz: float) -> int | None:
-        """Number of the line at a place of a record whose fundamental is ``f1_hz``; None where there is none."""
-        apart = [abs(line.at(self.f1_hz) - self.f1_hz - (f_hz - f1_hz)) for line in self.lines[1:]]
-        if not apart or min(apart) * self.window_s > 1.0:
-            return None
-        return 1 + int(np.argmin(apart))
+    def at(self, f_hz: float, heard: Heard) -> int | None:
+        """Number of the line at a place of a record; None where there is none.
+
+        The place of a multiple of f1 is known exactly, that of another line to a part of a bin of this stretch.
+        """
+        for number, line in enumerate(self.lines[1:], 1):
+            apart = abs(line.at(self.f1_hz) - self.f1_hz - (f_hz - heard.f1_hz))
+            if apart < 1.0 / heard.window_s + (SAME_BIN / self.window_s if line.offset_hz != 0.0 else 0.0):
+                return number
+        return None
 
     def is_there(self, number: int) -> bool:
         """Whether a line stands above what its segments scatter by, in voltage or current."""
@@ -131,7 +138,7 @@ def _is_multiple(place: float, heard: Heard) -> bool:
 
 def without_background(heard: Heard, quiet: Quiet) -> Heard:
     """A tone without what the quiet stretch has at its place and at its mirror's, or with a doubt about it."""
-    found = [(side, place, quiet.at(place, heard.f1_hz)) for side, place in enumerate(_places(heard))]
+    found = [(side, place, quiet.at(place, heard)) for side, place in enumerate(_places(heard))]
     heard = heard._replace(place_known=True)
     for side, place, number in found:
         if number is not None and quiet.is_there(number):

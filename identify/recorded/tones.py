@@ -35,6 +35,9 @@ SEGMENT_S = (0.02, 0.25)
 TRANSIENT = 6.0
 """Segments at the beginning that stray this much more than later ones are left out."""
 
+SURER = 0.85
+"""Segments are left out where that makes the variance of the mean at least so much smaller."""
+
 LEAST_FREEDOM = 3.0
 """With fewer degrees of freedom the scatter of the segments tells nothing."""
 
@@ -282,12 +285,23 @@ def _turning(t_s: np.ndarray, x: np.ndarray) -> tuple[float, float]:
 
 
 def _first_steady(solution: Solution, n_own: int) -> int:
-    """First segment from which on no segment of the first half strays more than those of the second half."""
-    if len(solution.scores) < FEWEST_SEGMENTS:
+    """First segment to be used: what has not settled makes the mean worse than fewer segments would.
+
+    A segment of the first half is wild where it strays several times more than those of the second half usually do. A
+    transient that dies slowly is cut where the mean of the rest is surest: with e_j the squared scatter of segment j
+    the variance of the mean of segments d to m is about sum_(j >= d) e_j / (m - d)^2, least at some d (White's MSER);
+    of noise alone it is least at 0, but for chance, which does not make it less by a seventh.
+    """
+    m = len(solution.scores)
+    if m < FEWEST_SEGMENTS:
         return 0
     scale = np.linalg.norm(solution.a[1:n_own], axis=0) + 1e-300
     strays = np.max(np.linalg.norm(solution.scores[:, 1:n_own], axis=1) / scale, axis=1)
-    half = len(strays) // 2
-    usual = np.median(strays[half:])
-    wild = np.flatnonzero(strays[:half] > TRANSIENT * usual + HOLD)
-    return int(wild[-1]) + 1 if len(wild) else 0
+    half = m // 2
+    wild = np.flatnonzero(strays[:half] > TRANSIENT * np.median(strays[half:]) + HOLD)
+    if len(wild):
+        return int(wild[-1]) + 1
+    left = np.cumsum(strays[::-1] ** 2)[::-1]
+    variance = left[:half] / (m - np.arange(half)) ** 2
+    best = int(np.argmin(variance))
+    return best if np.sqrt(variance[0]) > HOLD / m and variance[best] < SURER * variance[0] else 0

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...identify.operating_state import fundamental_facts, stated
-from ...identify.recorded.points import SLIP, Experiment, Point, broadband_points, points_of
+from ...identify.recorded.points import SLIP, Experiment, Point, broadband_points, points_of, without_common_lines
 from ...identify.response import FrequencyResponse
 from ...identify.settling import STEADY_LIMIT, growth_bound
 from ...identify.table.write import write_table
@@ -177,7 +177,9 @@ def identified(request: Request, *, jobs: int, say: Say = lambda text: None) -> 
     _check_any_heard(results)
     for word in dict.fromkeys(word for result in results for word in _words(result)):
         say(word)
-    experiments = [experiment for result in results for experiment in result.experiments]
+    experiments, unused = without_common_lines([each for result in results for each in result.experiments])
+    for word in unused:
+        say(word)
     seen = [each for result in results for each in result.fundamentals]
     if word := _taking_up(seen, tasks[0].direction):
         say(word)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identify.recorded.detect import find_tones
+from ...identify.recorded.detect import Found, survey
 from ...identify.recorded.local_polynomial import Local, local_polynomials
 from ...identify.recorded.points import NOISY, Experiment
 from ...identify.recorded.quiet import quiet_lines, without_background
@@ -36,6 +36,9 @@ MOST_OF = 0.9
 
 CLOCK_CYCLES = 0.01
 """Cycles by which a tone may slip over its window before the clocks are worth a word."""
+
+IDLE = 0.05
+"""Active power below this part of the apparent one has no direction to speak of."""
 
 NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
 NEAR_NOMINAL = 0.04
@@ -103,6 +106,11 @@ class Fundamental(NamedTuple):
         return float(1.5 * abs(self.v1 * self.i1))
 
     @property
+    def reactive_var(self) -> float:
+        """Reactive power out of the device at the PCC (var)."""
+        return float(-1.5 * np.imag(self.v1 * np.conj(self.i1)))
+
+    @property
     def line_voltage_v(self) -> float:
         """|v_pcc|, line-to-line RMS (V)."""
         return float(abs(self.v1) * LINE_RMS)
@@ -147,9 +155,10 @@ def listen(task: Task) -> Listened:
             sample_rate_hz=task.sample_rate_hz,
             units=task.units,
         )
-        stretches = _as_told(task, task.experiment, waveforms) if task.experiment else _found(waveforms)
+        told = task.experiment
+        stretches, unused = (_as_told(task, told, waveforms), []) if told else _found(waveforms)
         result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)
-        return result._replace(notes=(*waveforms.notes(), *result.notes))
+        return result._replace(notes=(*waveforms.notes(), *result.notes, *unused))
     except (RecordingError, HearingError) as error:
         return Listened(name, refusal=_bare(error, task.path))
     except MemoryError:
@@ -187,7 +196,7 @@ def _experiments(task: Task, waveforms: Waveforms, stretches: Sequence[Stretch])
         raise refusals[0]
     notes += [f"left out: {_bare(error, task.path)}" for error in refusals]
     fundamentals = tuple(Fundamental(e.heard.f1_hz, e.heard.v1, e.heard.i1) for e in experiments)
-    notes += _lies(waveforms, fundamentals)
+    notes += _facts(waveforms, fundamentals)
     tones = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
     return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {tones} Hz", *notes))
 
@@ -235,7 +244,7 @@ def _broadband(waveforms: Waveforms) -> Listened:
     notes = (
         "no tone stands out: taken as a broadband record and analysed by local polynomials "
         f"({np.count_nonzero(spread < NOISY)} frequencies)",
-        *_lies(waveforms, seen),
+        *_facts(waveforms, seen),
     )
     return Listened(name, (), local, seen, notes)
 
@@ -263,10 +272,45 @@ def _as_told(task: Task, told: Played, waveforms: Waveforms) -> list[Stretch]:
     return [Stretch(start, stop, told.shots, (0, until) if 0 < until <= start else None)]
 
 
-def _found(waveforms: Waveforms) -> list[Stretch]:
-    """Stretches that nobody told of."""
-    found = find_tones(waveforms)
-    return [Stretch(each.start, each.stop, (PlayedTone(nan, each.f_hz, nan, nan),)) for each in found]
+def _found(waveforms: Waveforms) -> tuple[list[Stretch], list[str]]:
+    """Stretches that nobody told of, and what is not used of them, in words."""
+    seen = survey(waveforms)
+    together: dict[tuple[int, int], list[Found]] = {}
+    for each in seen.found:
+        together.setdefault((each.start, each.stop), []).append(each)
+    stretches = [
+        Stretch(start, stop, tuple(PlayedTone(nan, each.f_hz, nan, nan) for each in found), found[0].quiet)
+        for (start, stop), found in together.items()
+    ]
+    return stretches, list(seen.unused)
+
+
+def _facts(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
+    """What the fundamental is, and where the file's own word, or the direction that was named, and the data differ."""
+    voltage_v, power_w, reactive_var, apparent_va = (
+        float(np.median([getattr(each, name) for each in seen]))
+        for name in ("line_voltage_v", "power_w", "reactive_var", "apparent_va")
+    )
+    notes = [
+        f"fundamental: {seen[0].f1_hz:.6g} Hz, {engineering(voltage_v, 'V')} line to line, "
+        f"{_flow(power_w, 'W')}, {_flow(reactive_var, 'var')}"
+    ]
+    if waveforms.direction == "generator" and power_w < -IDLE * apparent_va:
+        notes.append(
+            f"P = {engineering(power_w, 'W')} of a current in generator direction: the device consumes; if it is a "
+            "generator, the current was recorded in load direction (--direction load)"
+        )
+    return notes + _lies(waveforms, seen)
+
+
+def _flow(value: float, unit: str) -> str:
+    return f"{engineering(abs(value), unit)} {'into' if value < 0.0 else 'out of'} the device"
+
+
+def engineering(value: float, unit: str) -> str:
+    """Four digits and a prefix: 18.72 kW."""
+    prefix, factor = next(((p, f) for p, f in (("M", 1e6), ("k", 1e3), ("", 1.0)) if abs(value) >= f), ("m", 1e-3))
+    return f"{value / factor:.4g} {prefix}{unit}"
 
 
 def _lies(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
