@@ -20,9 +20,10 @@ from .plant.registry import PlantCard, releases_gil
 from .sweep.config.sections import Config, load_config
 from .sweep.plan import Plan
 from .sweep.planning import make_plan
-from .sweep.run.campaign import Interrupted, Swept, sweep_in_memory
+from .sweep.run.campaign import Interrupted, sweep_in_memory
 from .sweep.run.campaign import run as run_campaign
 from .sweep.run.host import plant_or_card
+from .sweep.run.swept import Swept
 from .tables import table_of
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import exp, isfinite, pi, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -40,8 +40,7 @@ from ..turbine import equilibrium as stationary
 from ..turbine.parameters import TurbineParameters
 from . import circuit
 from .kernel_arguments import cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
-
-"""Power-invariant (line-to-line RMS) to phase peak."""
+from .state import GreyState, Sight
 
 POWER_W = (0.05e6, 1.35e6)
 """Active power that the machine side can deliver: that of the reference turbine."""
@@ -58,51 +57,6 @@ CALM_S = 0.5
 
 SIGHT_S = 2e-3
 """Time constant with which v_pcc is seen from the source: negative sequence is no slip, half a turn is not missed."""
-
-
-class Sight(NamedTuple):
-    """v_pcc over the source voltage, smoothed by `SIGHT_S`, and its angle (rad), not wrapped."""
-
-    ratio: complex
-    angle_rad: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GreyState:
-    """Circuit and controller at one sample; opaque to everybody else.
-
-    Attributes
-    ----------
-    step : int
-        Samples since the controller was started.
-    time_s : float
-        Time (s).
-    x : (6,) complex
-        i_L, v_C, i_g (A, V; phase peak, stationary frame), the command that waits, the band pass at the port.
-    energy : float
-        Of the DC link (J).
-    memory : object
-        What the controller declares it remembers; see `Sealed`.
-    v_source : complex
-        Source voltage at time zero (V, phase peak).
-    source : Source
-        What feeds the PCC.
-    power_w, voltage_v : float
-        References of the operating point: P_machine (W) and |v_pcc| (V, line-to-line RMS).
-    sight : Sight or None
-        How v_pcc was last seen from the source; None where nobody has been watching.
-    """
-
-    step: int
-    time_s: float
-    x: np.ndarray
-    energy: float
-    memory: Any
-    v_source: complex
-    source: Source
-    power_w: float
-    voltage_v: float
-    sight: Sight | None = None
 
 
 class SampledTurbine:

@@ -39,8 +39,6 @@ from . import equilibrium as stationary
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .tone_table import common_period, waveform
 
-"""Power-invariant (line-to-line RMS) to phase peak, for voltages; the same factor for currents."""
-
 _INTEGRATORS = ("rk4", "emt")
 
 _RESIDUAL_LIMIT = 1e-9
