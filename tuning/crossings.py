@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .siso import Grid, siso
+from .siso import Grid, impedance_pn, siso
 
 Admittance = Callable[[np.ndarray], np.ndarray]
 
@@ -70,7 +70,10 @@ def _bode_grid(f1_hz: float, f_min_hz: float, f_max_hz: float) -> np.ndarray:
 def _ratios(admittance: Admittance, grid: Grid, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Y1/Yg1 = Y1 Zg1 and Y2/Yg2 = Y2 Zg2."""
     pair = siso(f_hz, admittance(f_hz), grid)
-    return pair.y1 / pair.yg1, pair.y2 / pair.yg2
+    if grid.couples:
+        return pair.y1 / pair.yg1, pair.y2 / pair.yg2
+    z1, z2 = impedance_pn(grid, f_hz)  # zero where Yg of a lossless grid is infinite
+    return pair.y1 * z1, pair.y2 * z2
 
 
 def _crossings_of(

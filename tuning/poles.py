@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, derivative, evaluate, spread
+from .feeding import Hole, hole_of
 from .siso import Grid, check_fundamental, impedance_dq
 
 RESONANCE_FROM_HZ = 5.0
@@ -59,11 +60,14 @@ class ClosedLoop:
     covariance : (m, 2, 2) float
         Covariance of real and imaginary part ((rad/s)^2).
     beyond : (m,) bool
-        Too far outside the swept band to be believed: only the fit's asymptotes speak there.
+        Not believed: too far outside the swept band, where only the fit's asymptotes speak, or nearer to f1 than all
+        rows where nothing feeds a mode.
     critical : int or None
         Index of the resonance: among the oscillating modes that the data carry the least damped one, or if all are
         damped by more than a tenth the one with the largest real part; an unstable one if there is one; None if there
         is none.
+    hole : Hole
+        The gap around f1 that has no rows.
     """
 
     f1_hz: float
@@ -71,6 +75,7 @@ class ClosedLoop:
     covariance: np.ndarray
     beyond: np.ndarray
     critical: int | None
+    hole: Hole
 
     @property
     def std(self) -> np.ndarray:
@@ -113,11 +118,13 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     upper = poles[poles.imag >= 0.0]
     upper = upper[np.argsort(-upper.real)]
     covariance = _covariance(model, grid, upper)
-    critical = _critical(model, upper, np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
-    return ClosedLoop(model.f1_hz, upper, covariance, is_beyond(model, upper), critical)
+    hole = hole_of(model, grid, upper)
+    beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
+    critical = _critical(model, upper, np.sqrt(np.trace(covariance, axis1=1, axis2=2)), ~beyond)
+    return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, hole)
 
 
-def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray) -> int | None:
+def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray, believed: np.ndarray) -> int | None:
     """Index of the resonance: the least damped mode, or if all are well damped the one that lasts longest.
 
     Not carried are modes that share a place with one of the device's own, which then is uncontrollable from the
@@ -127,7 +134,7 @@ def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray) -> int |
     f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
     apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
     carried = (apart.min(axis=1, initial=np.inf) > _CARRIED) & (std < _KNOWN * np.abs(poles))
-    carried &= ~is_beyond(model, poles)
+    carried &= believed
     within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & carried
     if np.any((poles.real > 0.0) & carried):
         within &= poles.real > 0.0

@@ -33,13 +33,13 @@ def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray,
     A stable loop is in doubt wherever its locus may pass zero on the other side: the least distance counts. An
     unstable one becomes stable only if the locus is wrong at every unstable mode: the surest mode counts.
     """
-    nu = nu_hz[(nu_hz >= 0.0) & (nu_hz <= model.nu_hz[-1])]
+    nu = nu_hz[(nu_hz >= loop.hole.doubt_from_hz) & (nu_hz <= model.nu_hz[-1])]
     distance = locus_distance(model, grid, nu)
     if stable:
         nearest = int(np.argmin(distance))
         return Doubt(_normal(distance[nearest]), float(nu[nearest]), float(distance[nearest]))
     unstable = loop.poles[(loop.poles.real > 0.0) & ~loop.beyond]
-    near = [np.abs(2.0 * np.pi * nu - p.imag) <= 3.0 * p.real for p in unstable]
+    near = [np.abs(2.0 * np.pi * nu - p.imag) <= p.real for p in unstable]
     nearest_ones = [int(np.argmin(np.where(a, distance, np.inf))) for a in near if np.any(a)]
     surest = max(nearest_ones, key=lambda k: distance[k], default=int(np.argmin(distance)))
     return Doubt(_normal(-distance[surest]), float(nu[surest]), float(distance[surest]))

@@ -14,8 +14,9 @@ import numpy as np
 from ..identify.fit.dq_data import DqData
 from ..identify.fit.local_rational import LocalRational, between_rows, local_rational
 from ..identify.fit.rational import RationalModel, evaluate
+from .feeding import Hole
 from .siso import Grid
-from .winding import Winding, closed_locus, wound
+from .winding import Band, Winding, closed_locus, wound
 
 _PER_INTERVAL = np.array([0.25, 0.5, 0.75])  # where the locus is looked at first between two rows
 _NOISE = 4.0  # loci that differ by less than so many standard errors of the rows do not contradict each other
@@ -51,14 +52,19 @@ def rows_of(data: DqData) -> Rows:
     return Rows(data, local_rational(data))
 
 
-def wind_rows(rows: Rows, grid: Grid, around_f1: RationalModel | None = None) -> Winding:
+def wind_rows(rows: Rows, grid: Grid, around_f1: RationalModel | None = None, hole: Hole | None = None) -> Winding:
     """Winding of det(1 + Y Z) from row to row.
 
     Between f1 and the lowest |f - f1| there are no rows to follow: there the way is that of ``around_f1``, which has
-    an error of its own, or the straight one between the mirror images.
+    an error of its own, or the straight one between the mirror images. In a ``hole`` that feeds nothing the gain falls
+    off.
     """
-    nu = rows.local.nu_hz
-    return wound(lambda at: _followed(rows, around_f1, at), grid, (nu[0], nu[-1]), _places(nu))
+    band = _band(rows, 0.0 if hole is None else hole.start_hz)
+    return wound(lambda at: _followed(rows, around_f1, at), grid, band, _places(rows.local.nu_hz))
+
+
+def _band(rows: Rows, start_hz: float) -> Band:
+    return Band(start_hz, float(rows.local.nu_hz[0]), float(rows.local.nu_hz[-1]))
 
 
 def _followed(rows: Rows, around_f1: RationalModel | None, nu_hz: np.ndarray) -> np.ndarray:
@@ -82,8 +88,9 @@ def difference(rows: Rows, model: RationalModel, grid: Grid) -> Difference:
     nu = rows.local.nu_hz
     at = _places(nu)
     at = at[at >= nu[0]]
-    by_rows = closed_locus(lambda f: between_rows(rows.local, f), grid, nu[-1])(at)
-    by_fit = closed_locus(lambda f: evaluate(model, 2j * np.pi * f), grid, nu[-1])(at)
+    band = _band(rows, 0.0)
+    by_rows = closed_locus(lambda f: between_rows(rows.local, f), grid, band)(at)
+    by_fit = closed_locus(lambda f: evaluate(model, 2j * np.pi * f), grid, band)(at)
     apart = np.abs(by_rows - by_fit)
     noise = _noise_of_locus(rows.data, model, grid, at)
     excess = np.where(apart > _NOISE * noise, apart / np.abs(by_fit), 0.0)

@@ -15,20 +15,21 @@ import numpy as np
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from .anchor import Anchor
 from .crossings import Crossing, bode_crossings, critical_crossing
+from .feeding import ACTIVE, activity, is_fed
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop, closed_loop_poles, is_beyond
 from .probability import DECIDED, DECIDED_AT, Doubt, doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
 from .rows import Rows, difference, wind_rows
-from .siso import Grid, check_fundamental, siso
+from .siso import Grid, check_fundamental, impedance_pn, siso
 from .winding import Winding, about, refine_locus, wind
 
 LIGHTLY_DAMPED = 0.05
 """Damping ratio below which a mode must lie inside the swept band to be believed."""
 
 _GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
-_ACTIVE, _CLEARLY = 0.01, 0.3  # parts of Y that feed a wave: from the first on a device is not passive
-_LOUD = 0.5  # loop gain from which on an active device may bring about an oscillation
+_CLEARLY = 0.3  # part of Y that feeds a wave from which on a device surely does, its hold and delay aside
 _TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
+_DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
 
 Decision = Literal["stable", "unstable", "undecided"]
@@ -105,7 +106,7 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     stable = model.n_unstable == winding.number
     crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
     doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
-    by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model).number
+    by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model, loop.hole).number
     verdict, reason = _decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows))
     return Stability(
         verdict=verdict,
@@ -163,7 +164,7 @@ def _own_poles(model: RationalModel, grid: Grid) -> int:
         within = np.clip(nu_hz, -end, end)
         f = within + model.f1_hz
         y = evaluate_pn(model, f)
-        gain = y[:, 1, 1] / siso(f, y, grid).yg2
+        gain = y[:, 1, 1] / siso(f, y, grid).yg2 if grid.couples else y[:, 1, 1] * impedance_pn(grid, f)[1]
         return 1.0 + gain * end / np.maximum(np.abs(nu_hz), end)
 
     seeds = np.concatenate([about(model.poles), model.nu_hz, end * np.geomspace(1.0, 1e4, 25)])
@@ -318,6 +319,9 @@ def _improbable(case: Case) -> str:
 def _unswept(case: Case) -> str:
     """Modes that decide need rows around them."""
     loop, decisive = case.loop, _decisive(case)
+    hidden = _hidden_in_hole(case)
+    if hidden:
+        return hidden
     unseen = [k for k in decisive if not is_swept(case.model, complex(loop.poles[k]))]
     unseen = [k for k in unseen if loop.poles[k].real > 0.0 or _is_fed(case, float(loop.f_hz[k]))]
     if not unseen or (not case.stable and len(unseen) < len(decisive)):
@@ -345,6 +349,18 @@ def _grid_unmeasured(case: Case) -> str:
 def _place_and_width(pole: complex) -> tuple[float, float]:
     """|f - f1| and half width of a mode (Hz)."""
     return abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
+
+
+def _hidden_in_hole(case: Case) -> str:
+    """A slow mode far nearer to f1 than all rows, and narrower than its distance from them, is only guessed at."""
+    lowest = float(case.model.nu_hz[0])
+    if case.loop.hole.start_hz > 0.0 or not case.stable:
+        return ""
+    poles = np.concatenate([case.model.poles, case.loop.poles])
+    deep = np.abs(poles) * _DEEP < 2.0 * np.pi * lowest
+    if not np.any(deep):
+        return ""
+    return f"slow modes decide, and the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
 
 
 def _mode_text(case: Case) -> str:
@@ -406,16 +422,11 @@ def is_swept(model: RationalModel, pole: complex) -> bool:
 
 
 def _is_fed(case: Case, nu_hz: float) -> bool:
-    """Whether device and loop gain could bring about an oscillation in the gap between rows that holds ``nu_hz``.
-
-    Where the device is passive, or the loop gain stays below a half, they cannot.
-    """
+    """Whether an oscillation could be fed in the gap between rows that holds ``nu_hz``."""
     rows = np.concatenate([[0.0], case.model.nu_hz, [EDGE * nu_hz]])
     above = int(np.clip(np.searchsorted(rows, nu_hz), 1, len(rows) - 1))
     s = 2j * np.pi * np.linspace(rows[above - 1], rows[above], 9)
-    y = evaluate(case.model, s)
-    loud = np.abs(np.linalg.eigvals(y @ case.grid.impedance_dq(s))).max(axis=1) > _LOUD
-    return bool(np.any(loud & (_activity(y) > _ACTIVE)))
+    return is_fed(evaluate(case.model, s), case.grid.impedance_dq(s))
 
 
 def _active_at_end(model: RationalModel, grid: Grid) -> bool:
@@ -427,18 +438,12 @@ def _active_at_end(model: RationalModel, grid: Grid) -> bool:
     s = 2j * np.pi * end * np.array([1.0 / _TREND, 1.0])
     before, gains = np.linalg.eigvals(evaluate(model, s) @ grid.impedance_dq(s))
     turning = any(_reaches_minus_one(gain, before) for gain in gains if abs(gain) > 1.0)
-    return bool(turning and _activity_at_end(model) > _ACTIVE)
+    return bool(turning and _activity_at_end(model) > ACTIVE)
 
 
 def _activity_at_end(model: RationalModel) -> float:
     """Part of Y at the band's end that feeds a wave."""
-    return float(_activity(evaluate(model, 2j * np.pi * model.nu_hz[-1:]))[0])
-
-
-def _activity(y: np.ndarray) -> np.ndarray:
-    """Part (n,) of Y (n, 2, 2) that feeds a wave: minus the least eigenvalue of the Hermitian part, relative to Y."""
-    hermitian = (y + np.swapaxes(y.conj(), 1, 2)) / 2.0
-    return -np.linalg.eigvalsh(hermitian)[:, 0] / np.linalg.norm(y, axis=(1, 2))
+    return float(activity(evaluate(model, 2j * np.pi * model.nu_hz[-1:]))[0])
 
 
 def _reaches_minus_one(gain: complex, before: np.ndarray) -> bool:

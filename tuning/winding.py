@@ -3,13 +3,15 @@
 Beyond the swept band nothing is known, so nothing is extrapolated: the loop gain is let fall off, Y Z / r for the
 frequency r times the band's end. No eigenvalue of Y Z then passes -1 beyond the band, the ends meet at one, and the
 number of turns is that of the swept band alone. Where the device is active and the loop gain above one at the band's
-end, that is no answer, and `verdict` says so.
+end, that is no answer, and `verdict` says so. Around f1, between the lowest row and its mirror image, the same is done
+where nothing feeds an oscillation (`feeding`); elsewhere the fit is followed there, with its errors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,25 +60,34 @@ class Winding:
         return self.largest_step_deg <= MAX_STEP_DEG
 
 
-def wind(model: RationalModel, grid: Grid, loop: ClosedLoop | None = None) -> Winding:
+class Band(NamedTuple):
+    """|f - f1| (Hz): from where the locus is followed, the lowest row, the highest."""
+
+    start_hz: float
+    lowest_hz: float
+    end_hz: float
+
+
+def wind(model: RationalModel, grid: Grid, loop: ClosedLoop) -> Winding:
     """Winding of det(1 + Y Z) of a fitted device about zero; ``loop`` tells where to look closely."""
-    poles = np.concatenate([model.poles, [] if loop is None else loop.poles])
-    swept = (float(model.nu_hz[0]), float(model.nu_hz[-1]))
-    seeds = np.concatenate([np.geomspace(1e-3, swept[1], 80), about(poles), model.nu_hz])
-    return wound(lambda nu: evaluate(model, 2j * np.pi * nu), grid, swept, seeds)
+    poles = np.concatenate([model.poles, loop.poles])
+    lowest, end = float(model.nu_hz[0]), float(model.nu_hz[-1])
+    seeds = np.concatenate([np.geomspace(1e-3, end, 80), about(poles), model.nu_hz])
+    band = Band(loop.hole.start_hz, lowest, end)
+    return wound(lambda nu: evaluate(model, 2j * np.pi * nu), grid, band, seeds)
 
 
-def wound(admittance: Admittance, grid: Grid, swept_hz: tuple[float, float], seeds_hz: np.ndarray) -> Winding:
+def wound(admittance: Admittance, grid: Grid, band: Band, seeds_hz: np.ndarray) -> Winding:
     """Winding of det(1 + Y Z) about zero.
 
     Parameters
     ----------
     admittance : callable
-        |f - f1| (n,) in Hz, from zero to the end of the band, to Ydq (n, 2, 2) in S.
+        |f - f1| (n,) in Hz, from where the band is followed to its end, to Ydq (n, 2, 2) in S.
     grid : Grid
         The grid.
-    swept_hz : (float, float)
-        Lowest and highest swept |f - f1| (Hz).
+    band : Band
+        Where the locus is followed.
     seeds_hz : (n,) float
         Where the locus is looked at first, besides the grid's own modes (Hz); it is refined from there.
 
@@ -84,11 +95,11 @@ def wound(admittance: Admittance, grid: Grid, swept_hz: tuple[float, float], see
     -----
     Device and grid are real systems in the dq frame: the half of negative frequency is the conjugate of the other.
     """
-    end = swept_hz[1]
+    end = band.end_hz
     w1 = grid.f1_hz * np.array([0.98, 1.0, 1.02])  # where an inductive grid is smallest
     seeds = np.concatenate([seeds_hz, about(grid.modes), w1])
     inside = np.unique(np.concatenate([[0.0, end], seeds[(seeds > 0.0) & (seeds < end)]]))
-    nu, values = refine_locus(closed_locus(admittance, grid, end), np.concatenate([inside, end * _FALL]))
+    nu, values = refine_locus(closed_locus(admittance, grid, band), np.concatenate([inside, end * _FALL]))
     steps = np.angle(values[1:] / values[:-1])
     middle = (nu[1:] + nu[:-1]) / 2.0
     return Winding(
@@ -97,7 +108,7 @@ def wound(admittance: Admittance, grid: Grid, swept_hz: tuple[float, float], see
         locus=np.concatenate([values[:0:-1].conj(), values]),
         largest_step_deg=float(np.degrees(np.abs(steps).max())),
         beyond_deg=float(np.degrees(np.sum(steps[middle > end]))),
-        inside_deg=float(np.degrees(np.sum(steps[middle < swept_hz[0]]))),
+        inside_deg=float(np.degrees(np.sum(steps[middle < band.lowest_hz]))),
     )
 
 
@@ -107,18 +118,20 @@ def about(poles: np.ndarray) -> np.ndarray:
     return np.abs(poles.imag[:, None] + width).ravel() / (2.0 * np.pi)
 
 
-def closed_locus(admittance: Admittance, grid: Grid, end_hz: float) -> Locus:
-    """det(1 + Y Z), cleared of the grid's poles, for |f - f1| from zero on (Hz); the gain falls off beyond the end."""
-    s_end = np.array([2j * np.pi * end_hz])
+def closed_locus(admittance: Admittance, grid: Grid, band: Band) -> Locus:
+    """det(1 + Y Z), cleared of the grid's poles, at |f - f1| from zero on (Hz); outside the band the gain falls off."""
+    s_end = np.array([2j * np.pi * band.end_hz])
     clearing_end = complex(grid.clearing(s_end)[0])
     log_end = np.log(abs(clearing_end)) + 1j * grid.clearing_angle(complex(s_end[0]))
 
     def locus(nu_hz: np.ndarray) -> np.ndarray:
-        part = np.minimum(end_hz / np.maximum(nu_hz, 1e-300), 1.0)
-        within = np.minimum(nu_hz, end_hz)
-        s = 2j * np.pi * within
-        clearing = np.where(nu_hz > end_hz, np.exp(part * log_end), grid.clearing(s))
-        return clearing * det(np.eye(2) + part[:, None, None] * (admittance(within) @ grid.impedance_dq(s)))
+        above = np.minimum(band.end_hz / np.maximum(nu_hz, 1e-300), 1.0)
+        below = np.minimum(nu_hz / band.start_hz, 1.0) if band.start_hz > 0.0 else np.ones_like(nu_hz)
+        within = np.clip(nu_hz, band.start_hz, band.end_hz)
+        gain = admittance(within) @ grid.impedance_dq(2j * np.pi * within)
+        beyond = nu_hz > band.end_hz
+        clearing = np.where(beyond, np.exp(above * log_end), grid.clearing(2j * np.pi * np.minimum(nu_hz, band.end_hz)))
+        return clearing * det(np.eye(2) + (above * below)[:, None, None] * gain)
 
     return locus
 

@@ -212,7 +212,7 @@ def test_device_unstable_by_itself_is_judged_by_what_the_grid_makes_of_it(r_ohm:
 def test_locus_turns_less_than_30_degrees_per_step_and_counts_whole_turns() -> None:
     at = case(1.4)
     model = fit_response(turbine(P_W, at.voltage_v))
-    winding = wind(model, at.grid)
+    winding = wind(model, at.grid, closed_loop(model, at.grid))
     steps = np.angle(np.append(winding.locus[1:], winding.locus[0]) / winding.locus)
     assert np.degrees(np.abs(steps).max()) <= MAX_STEP_DEG
     assert np.sum(steps) / (2.0 * np.pi) == pytest.approx(winding.number, abs=1e-9)
@@ -222,7 +222,7 @@ def test_locus_turns_less_than_30_degrees_per_step_and_counts_whole_turns() -> N
 def test_locus_is_the_determinant_of_one_plus_y_z_in_the_band_and_ends_at_one() -> None:
     at = case(1.2)
     model = fit_response(turbine(P_W, at.voltage_v))
-    winding = wind(model, at.grid)
+    winding = wind(model, at.grid, closed_loop(model, at.grid))
     within = np.abs(winding.nu_hz) <= model.nu_hz[-1]
     s = 2j * np.pi * winding.nu_hz[within]
     determinant = np.linalg.det(np.eye(2) + evaluate(model, s) @ impedance_dq(at.grid, s))
@@ -375,7 +375,7 @@ def test_critical_scr_is_that_of_table_i() -> None:
 def test_vector_margin_is_the_least_distance_of_the_locus() -> None:
     at = case(1.0)
     model = fit_response(turbine(P_W, at.voltage_v))
-    margins = locus_margins(model, at.grid, wind(model, at.grid).nu_hz)
+    margins = locus_margins(model, at.grid, wind(model, at.grid, closed_loop(model, at.grid)).nu_hz)
     s = 2j * np.pi * np.linspace(20.0, 950.0, 20000)
     least = np.abs(np.linalg.det(np.eye(2) + evaluate(model, s) @ impedance_dq(at.grid, s))).min()
     assert margins.vector == pytest.approx(least, rel=2e-2)  # the locus is refined by angle, not by modulus
