@@ -117,7 +117,7 @@ def on_grid(
     |V - Z(f1) i| = E for the source voltage E, i out of the device, V real; bisection on V over the region. Where the
     region holds no solution |v_pcc| is NaN.
     """
-    z = complex(grid.impedance_pn(np.array([grid.f1_hz]))[0][0])
+    z = grid.at_f1
     low, high = surrogate.region.low[2], surrogate.region.high[2]
     found = points.copy()
     at_low, at_high = (

@@ -154,7 +154,7 @@ class Surrogate:
         y = best.y.reshape(*best.y.shape[:2], 2, 2)
         return Evaluation(y, relative * np.linalg.norm(best.y, axis=2))
 
-    def response(self, point: Sequence[float], f_hz: np.ndarray | None = None) -> FrequencyResponse:
+    def response(self, point: Sequence[float] | np.ndarray, f_hz: np.ndarray | None = None) -> FrequencyResponse:
         """One operating point as the response of a table, its error in the covariance.
 
         Parameters
@@ -228,7 +228,7 @@ CORRELATED = 7.0
 _RADIUS = 1.392  # root of the 95 % quantile of chi-squared with eight degrees, over eight: radius per standard error
 
 
-def name_of(point: Sequence[float]) -> str:
+def name_of(point: Sequence[float] | np.ndarray) -> str:
     """Name of an operating point in a predicted table."""
     p, q, v = point
     return f"p{p:g}_q{q:g}_v{v:g}"
@@ -359,7 +359,7 @@ def _shared(grids: Sequence[np.ndarray]) -> np.ndarray:
 
 def _terminal(responses: Sequence[FrequencyResponse], x: np.ndarray) -> Fitted | None:
     """The fundamental current at the PCC over operating points, where every one was measured."""
-    facts = [response.meta.get("fundamental") for response in responses]
+    facts = [response.meta.get("fundamental") or {} for response in responses]
     if not all(facts):
         return None
     current = np.array([-f["current_a"] * np.exp(1j * f["current_angle_rad"]) for f in facts])
@@ -371,7 +371,7 @@ def _terminal(responses: Sequence[FrequencyResponse], x: np.ndarray) -> Fitted |
 
 def _common_facts(responses: Sequence[FrequencyResponse]) -> dict[str, Any]:
     """What all operating points agree on: where the device was seen to be stable, the slowest bound of its growth."""
-    facts = [response.meta.get("stable_on") for response in responses]
+    facts = [response.meta.get("stable_on") or {} for response in responses]
     if not all(facts) or any(fact["grid"] != facts[0]["grid"] for fact in facts):
         return {}
     bounds = [fact.get("growth_bound_per_s") for fact in facts]

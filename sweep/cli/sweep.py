@@ -122,7 +122,7 @@ def _run_region(config: Config, output: Path, running: Running, force: bool) -> 
         shutil.rmtree(folder)
     outcome = sweep_region(config, output, one_round, lambda text: typer.echo(text, err=True))
     report_statuses(output, outcome.statuses)
-    known = f"Y is certified to {config.sweep.operating_points.tolerance:g} over the region"
+    known = f"Y is certified to {outcome.tolerance:g} over the region"
     if not outcome.certified:
         known = "the tolerance was not reached: a larger `most` sweeps on, or ask for less"
     typer.echo(f"{outcome.n_points} operating points; {known}", err=True)

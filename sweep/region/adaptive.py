@@ -40,6 +40,7 @@ class RegionOutcome(NamedTuple):
     progress: Progress
     certified: bool
     n_points: int
+    tolerance: float
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
         swept, points = _predicted(swept, surrogate, config, at, folder, sweep), np.zeros((0, 3))
     write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))
     shutil.rmtree(folder)
-    return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses))
+    return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses), asked.tolerance)
 
 
 def _with_round(swept: _Swept, config: Config, points: np.ndarray, folder: Path, sweep: Sweep) -> _Swept:
@@ -147,7 +148,7 @@ def _refuse_lost(responses: Sequence[FrequencyResponse]) -> None:
     if len(last) == _LOST and not any(np.any(response.usable) for response in last):
         raise RegionError(
             f"{_LOST} operating points in a row, the last at {last[-1].meta['op_id']}, gave no usable row "
-            f"({last[-1].reason[0]}): make the region smaller, to where the device works"
+            f"({np.asarray(last[-1].reason)[0]}): make the region smaller, to where the device works"
         )
 
 

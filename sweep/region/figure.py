@@ -48,7 +48,8 @@ def _curve(axes: Axes, worst: Worst, axis: int) -> None:
     order = np.argsort(worst.points[:, axis])
     axes.plot(worst.points[order, axis], worst.margin_m[order], color=DEVICE, label="m, |v| by load flow")
     axes.axhline(1.0, color=WARNING, linestyle="--", label="edge of stability")
-    axes.plot(worst.point[axis], worst.tuning.stability.critical.m, "*", color=WARNING, markersize=11, label="worst")
+    if (lowest := worst.tuning.margin_m) is not None:
+        axes.plot(worst.point[axis], lowest, "*", color=WARNING, markersize=11, label="worst")
     axes.set_xlabel(LABELS[AXES[axis]])
     axes.set_ylabel("Magnitude margin m")
     axes.legend(frameon=False)

@@ -177,7 +177,7 @@ def _buses(document: Mapping[str, Any]) -> dict[str, float]:
     voltages: dict[str, float] = {}
     for k, entry in enumerate(_entries(document, "bus"), start=1):
         _known(entry, ("name", "voltage_kv"), f"bus {k}")
-        name, kv = entry.get("name"), entry.get("voltage_kv")
+        name, kv = entry.get("name"), entry.get("voltage_kv", 0.0)
         if not isinstance(name, str) or not _positive(kv):
             raise FarmError(f"bus {k}: needed are a name and voltage_kv, line to line, above 0")
         voltages[name] = float(kv) * 1e3
@@ -308,7 +308,7 @@ def _source_impedance(entry: Mapping[str, Any], name: str, voltage_v: float) -> 
         ratio = float(entry.get("r_over_x", 0.1))
         x = size / (1.0 + ratio**2) ** 0.5
         return complex(ratio * x, x)
-    r, x = entry.get("r_ohm", 0.0), entry.get("x_ohm")
+    r, x = entry.get("r_ohm", 0.0), entry.get("x_ohm", 0.0)
     if not _positive(x) or not isinstance(r, int | float) or r < 0.0:
         raise FarmError(f"{name}: needed is s_sc_mva (and r_over_x), or x_ohm above 0 and r_ohm, in ohm at f1")
     return complex(float(r), float(x))
