@@ -18,6 +18,7 @@ SCALE_RANGE = (0.05, 20.0)
 ELEMENTS = ("pp", "pn", "np", "nn")
 
 _SCAN_STEP = 1.15
+_BACK_STEP = 0.36
 _CLEAR = 1.001  # so far inside a stable range its other end is looked for
 
 
@@ -125,26 +126,27 @@ def stable_range(model: RationalModel, grid: Grid) -> StableRange:
     """Both ends of the range of multipliers of R and X in which the loop is stable.
 
     A grid-following device loses stability on weak grids and has an upper end; a grid-forming one may lose it on
-    strong grids and has a lower one. The end on the way back into a range that is stable is looked for in steps
-    of two, every other one in steps of `_SCAN_STEP`.
+    strong grids and has a lower one. From inside a stable range the lower end is looked for in steps of `_BACK_STEP`,
+    every other one in steps of `_SCAN_STEP`.
     """
 
     def rightmost(scale: float) -> float:
         poles = closed_loop_poles(model, grid.scaled(scale))
         return float(poles.real[~is_beyond(model, poles)].max(initial=-np.inf))
 
-    if rightmost(1.0) <= 0.0:
-        return StableRange(_edge(rightmost, 1.0, 0.5), _edge(rightmost, 1.0, _SCAN_STEP))
-    high = _edge(rightmost, 1.0, 1.0 / _SCAN_STEP)
+    here = (1.0, rightmost(1.0))
+    if here[1] <= 0.0:
+        return StableRange(_edge(rightmost, here, _BACK_STEP), _edge(rightmost, here, _SCAN_STEP))
+    high = _edge(rightmost, here, 1.0 / _SCAN_STEP)
     if high is not None:
-        return StableRange(_edge(rightmost, high / _CLEAR, 0.5), high)
-    low = _edge(rightmost, 1.0, _SCAN_STEP)
-    return StableRange(low, None if low is None else _edge(rightmost, low * _CLEAR, _SCAN_STEP))
+        return StableRange(_edge(rightmost, (high / _CLEAR, -np.inf), _BACK_STEP), high)
+    low = _edge(rightmost, here, _SCAN_STEP)
+    return StableRange(low, None if low is None else _edge(rightmost, (low * _CLEAR, -np.inf), _SCAN_STEP))
 
 
-def _edge(rightmost: Callable[[float], float], start: float, step: float) -> float | None:
-    """The first scale from ``start`` on, by factors of ``step``, at which the sign of ``rightmost`` changes."""
-    inner, value = start, rightmost(start)
+def _edge(rightmost: Callable[[float], float], start: tuple[float, float], step: float) -> float | None:
+    """The first scale from that of ``start`` (scale, rightmost pole) on, by factors of ``step``, with another sign."""
+    inner, value = start
     while SCALE_RANGE[0] < inner < SCALE_RANGE[1]:
         outer = inner * step
         beyond = rightmost(outer)

@@ -123,8 +123,13 @@ def test_a_band_that_is_none_is_refused(text: str) -> None:
         parse_bands([text])
 
 
-def test_every_property_of_the_schema_has_a_description() -> None:
-    from seqsweep.tuning.result import schema
+@pytest.mark.parametrize("floor", ["identify", "tuning"])
+def test_every_property_of_the_schema_has_a_description(floor: str) -> None:
+    import json
+    from importlib.resources import files
+
+    name = {"identify": "admittance", "tuning": "tuning"}[floor]
+    schema = json.loads(files(f"seqsweep.{floor}").joinpath("schema", f"seqsweep-{name}-1.schema.json").read_text())
 
     def bare(node, path):
         if isinstance(node, dict):
@@ -137,4 +142,4 @@ def test_every_property_of_the_schema_has_a_description() -> None:
             for k, value in enumerate(node):
                 yield from bare(value, f"{path}.{k}")
 
-    assert list(bare(schema(), "$")) == []
+    assert list(bare(schema, "$")) == []
