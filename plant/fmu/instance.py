@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..controllers.interface import Stretch
+from ..states.guarded_memory import Stretch
 from ..states.stores import BoxLost
 from .archive import unpack
 from .variables import Contents, Group, Setting, laid_out, n_bytes
