@@ -1,0 +1,119 @@
+"""A process for foreign files: whatever happens there costs the question, never the one who asked."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqsweep.plant.errors import SeqsweepError
+from seqsweep.plant.foreign import sandbox
+from seqsweep.plant.foreign.sandbox import ForeignFileError, apart
+from seqsweep.plant.recordings.waveforms import open_waveforms
+
+from ..support import recording_files as files
+from .test_recordings import SAMPLES, N, T
+
+SUPPORT = Path(__file__).parents[1] / "support"
+FILE = Path("/somewhere/a.h5")
+
+
+@pytest.fixture(autouse=True)
+def _found_by_name(monkeypatch):
+    """Processes that begin in these tests find `misbehaving`."""
+    while sandbox._idle:
+        sandbox._idle.pop().end()
+    known = os.environ.get("PYTHONPATH")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(SUPPORT), known])))
+    yield
+    while sandbox._idle:
+        sandbox._idle.pop().end()
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        ("crash", r"the reader crashed on it \(SIGSEGV\): the file is damaged"),
+        ("leave", r"the reader crashed on it \(exit status 3\)"),
+        ("gorge", "does not fit into the memory that a file may use"),
+        ("recurse", r"damaged, or not what its suffix says \(RecursionError in misbehaving"),
+        ("exit_politely", r"\(SystemExit in misbehaving"),
+    ],
+)
+def test_what_goes_wrong_costs_the_question_alone_and_names_the_file(function, words):
+    with pytest.raises(ForeignFileError, match=words) as refusal:
+        apart(FILE, f"misbehaving:{function}")
+    assert str(refusal.value).startswith(f"{FILE}: ")
+    assert len(str(refusal.value).splitlines()) == 1
+    assert apart(FILE, "misbehaving:well", 1) == 2
+
+
+def test_a_hang_ends(monkeypatch):
+    monkeypatch.setattr(sandbox, "TIME_S", 0.5)
+    began = time.perf_counter()
+    with pytest.raises(ForeignFileError, match="not read within"):
+        apart(FILE, "misbehaving:hang")
+    assert time.perf_counter() - began < 20.0
+
+
+def test_a_refusal_comes_back_as_it_is_and_the_process_serves_on():
+    first = apart(FILE, "misbehaving:who")
+    with pytest.raises(SeqsweepError, match="no good"):
+        apart(FILE, "misbehaving:refuse")
+    assert apart(FILE, "misbehaving:who") == first
+    with pytest.raises(ForeignFileError):
+        apart(FILE, "misbehaving:recurse")
+    assert apart(FILE, "misbehaving:who") != first  # who knows what it left behind
+
+
+def test_libraries_that_leak_are_begun_anew(monkeypatch):
+    monkeypatch.setattr(sandbox, "MOST_FILES", 2)
+    assert len({apart(FILE, "misbehaving:who") for _ in range(4)}) == 2
+
+
+def test_the_process_ends_with_its_host(tmp_path):
+    code = (
+        "from seqsweep.plant.foreign.sandbox import apart; from pathlib import Path; import os, signal\n"
+        "print(apart(Path('a'), 'misbehaving:who'), flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    orphan = int(done.stdout)
+    until = time.monotonic() + 10.0
+    with suppress(ProcessLookupError):
+        while time.monotonic() < until:
+            os.kill(orphan, 0)
+            time.sleep(0.05)
+        pytest.fail("the process lives on")
+
+
+def test_several_recordings_are_open_at_once_each_in_its_process(tmp_path):
+    paths = [files.text(tmp_path / f"{k}.csv", SAMPLES * (k + 1.0)) for k in range(4)]
+    opened = [open_waveforms(path, "load") for path in paths]
+    records = [one.record(0, N) for one in reversed(opened)]
+    assert [round(float(np.max(np.abs(each.v)) / np.max(np.abs(records[-1].v)))) for each in records] == [4, 3, 2, 1]
+
+
+def test_more_channels_than_the_shared_memory_holds_come_in_pieces(tmp_path, monkeypatch):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from seqsweep.plant.recordings.apart import read_recording_apart
+
+    many = np.tile(SAMPLES, (1, 200)) * np.arange(1, 1201)
+    pq.write_table(pa.table({"time": T, **{f"c{k}": x for k, x in enumerate(many.T)}}), tmp_path / "a.parquet")
+    recording = read_recording_apart(tmp_path / "a.parquet")
+    assert np.array_equal(recording.samples(range(1200), 0, N), many)
+
+
+def test_a_crash_costs_its_own_file_and_no_other_of_the_call(tmp_path, monkeypatch):
+    """The reader of one file dies while another is open."""
+    good = open_waveforms(files.text(tmp_path / "a.csv", SAMPLES), "load")
+    with pytest.raises(ForeignFileError):
+        apart(FILE, "misbehaving:crash")
+    assert len(good.record(0, N).v) == N
