@@ -107,9 +107,12 @@ class Sandbox:
         if isinstance(answer, _Escaped):
             raise ForeignFileError(f"{path}: {answer.words}")
         self.healthy = True
-        if isinstance(answer, SeqsweepError):
-            raise answer
-        return answer
+        try:
+            if isinstance(answer, SeqsweepError):
+                raise answer
+            return answer
+        finally:
+            del answer  # its traceback holds this frame: a circle would keep the recording, and so this process, alive
 
     def end(self) -> None:
         """End the process."""

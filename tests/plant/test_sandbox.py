@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -9,16 +10,18 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from seqsweep.plant.errors import SeqsweepError
 from seqsweep.plant.foreign import sandbox
 from seqsweep.plant.foreign.sandbox import ForeignFileError, apart
+from seqsweep.plant.recordings.recording import RecordingError
 from seqsweep.plant.recordings.waveforms import open_waveforms
 
 from ..support import recording_files as files
-from .test_recordings import SAMPLES, N, T
+from .test_recordings import COLUMNS, SAMPLES, N, T
 
 SUPPORT = Path(__file__).parents[1] / "support"
 FILE = Path("/somewhere/a.h5")
@@ -117,3 +120,33 @@ def test_a_crash_costs_its_own_file_and_no_other_of_the_call(tmp_path, monkeypat
     with pytest.raises(ForeignFileError):
         apart(FILE, "misbehaving:crash")
     assert len(good.record(0, N).v) == N
+
+
+def holed(path):
+    """An HDF5 recording whose last piece of a channel does not decompress."""
+    with h5py.File(path, "w") as file:
+        for name, x in {"time": T, **COLUMNS}.items():
+            file.create_dataset(name, data=x, chunks=(500,), compression="gzip")
+        at = file["Ic"].id.get_chunk_info(N // 500 - 1).byte_offset
+    with open(path, "r+b") as file:
+        file.seek(at)
+        file.write(b"\xff" * 64)
+    return path
+
+
+def test_a_damaged_piece_is_told_with_the_file_and_leaves_no_process_behind(tmp_path):
+    """Without waiting for the collector of garbage: the next file finds the process that the last one left."""
+    gc.collect()
+    gc.disable()
+    try:
+        first = apart(FILE, "misbehaving:who")
+        for k in range(4):
+            try:
+                open_waveforms(holed(tmp_path / f"{k}.h5"), "load").record(0, N)
+            except RecordingError as error:
+                said = str(error)
+            assert f"{k}.h5: Ic: damaged, cannot be read" in said
+        assert apart(FILE, "misbehaving:who") == first
+        assert len(sandbox._idle) == 1
+    finally:
+        gc.enable()
