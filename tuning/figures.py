@@ -32,7 +32,7 @@ from ..plant.errors import SeqsweepError
 from .intervals import relative_error_of_y1
 from .result import PointTuning, TuningResult, mode_with_k
 from .siso import Grid, impedance_dq, siso
-from .text import with_doubt
+from .text import CERTAIN, with_doubt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,7 @@ class _Drawn(NamedTuple):
 
 
 def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None, scale: float | None = None) -> None:
-    """Draw one entry of a result (default: the worst) to a PNG, SVG or PDF file, and the poles of all.
+    """Draw one entry of a result (default: the worst that has a fit) to a PNG, SVG or PDF file, and the poles of all.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def plot_result(result: TuningResult, path: str | Path, op_id: str | None = None
 
 def result_figure(result: TuningResult, op_id: str | None = None, scale: float | None = None) -> Figure:
     """The figure that `plot_result` writes."""
-    point = result.worst if op_id is None else result.point(op_id, scale)
+    point = (result.worst_fitted or result.worst) if op_id is None else result.point(op_id, scale)
     _drawn(point)
     figure = new_figure(_HEIGHT_IN)
     _draw_page(_page(figure), result, point)
@@ -80,14 +80,15 @@ def result_figure(result: TuningResult, op_id: str | None = None, scale: float |
 
 def shown(result: TuningResult, ax: Any = None) -> Any:
     """The worst entry for a notebook, in axes (6,): Bode, locus, poles; a single pair of axes takes the locus."""
-    drawn = _drawn(result.worst)
+    worst = result.worst_fitted or result.worst
+    drawn = _drawn(worst)
     if ax is not None and not isinstance(ax, np.ndarray):
         _draw_locus(ax, drawn)
         _legend(ax, 2)
         return ax
     if ax is None:
         ax = _page(opened_figure(_HEIGHT_IN))
-    _draw_page(ax, result, result.worst)
+    _draw_page(ax, result, worst)
     return ax
 
 
@@ -161,10 +162,12 @@ def _entries(result: TuningResult, first: PointTuning) -> list[_Drawn]:
 
 def _title(result: TuningResult, point: PointTuning) -> str:
     """Which entry this is, out of how many, and what was found."""
-    several = f" (the worst of {len(result.points)})" if len(result.points) > 1 and point is result.worst else ""
+    several = f" (the worst of {len(result.points)})" if len(result.points) > 1 and point is result.worst_fitted else ""
     of = several or (f" (one of {len(result.points)})" if len(result.points) > 1 else "")
     grid = "" if point.grid is None else f" on {point.grid.label}"
-    return escaped(f"{_name(point)}{of}: {point.verdict}{grid}")
+    certain = point.probability is None or not 1.0 - CERTAIN < point.probability < CERTAIN
+    probability = "" if certain else f" (probability of being stable {point.probability:.3g})"
+    return escaped(f"{_name(point)}{of}: {point.verdict}{probability}{grid}")
 
 
 def _name(point: PointTuning) -> str:

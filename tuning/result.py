@@ -152,6 +152,11 @@ class TuningResult:
         """The operating point in greatest need: unstable before undecided before stable, then by the smallest m."""
         return min(self.points, key=_need)
 
+    @property
+    def worst_fitted(self) -> PointTuning | None:
+        """The entry in greatest need among those that have a fit, which a picture needs; None where none has."""
+        return min((point for point in self.points if point.stability is not None), key=_need, default=None)
+
     def point(self, op_id: str, scale: float | None = None) -> PointTuning:
         """The operating point of that name, at that scale or at its worst; SeqsweepError where there is none."""
         place_of(op_id, list(dict.fromkeys(point.op_id for point in self.points)), "the tuning result")

@@ -251,15 +251,24 @@ def _row_warnings(response: FrequencyResponse) -> tuple[str, ...]:
     noisy = int(np.sum(response.usable & ~response.ok))
     remarks = []
     if np.any(asked):
-        f_hz = np.asarray(response.f_hz)[asked]
-        band = f"{f_hz[0]:g} to {f_hz[-1]:g} Hz" if len(f_hz) > 1 else f"{f_hz[0]:g} Hz"
-        remarks.append(f"{len(f_hz)} of {len(response)} rows, {band}, were left out as asked (--exclude)")
+        remarks.append(
+            f"{np.sum(asked)} of {len(response)} rows, {_bands(response, asked)}, were left out as asked (--exclude)"
+        )
     if left_out:
         text = ", ".join(f"{status} {count}" for status, count in sorted(left_out.items()))
         remarks.append(f"{left_out.total()} of {len(response)} rows are not ok and were left out ({text})")
     if noisy:
         remarks.append(f"{noisy} of {len(response)} rows are noisier than the sweep was to accept; they count for less")
     return tuple(remarks)
+
+
+def _bands(response: FrequencyResponse, rows: np.ndarray) -> str:
+    """Stretches of neighbouring rows (n,) bool in words."""
+    edges = np.flatnonzero(np.diff(rows.astype(int), prepend=0, append=0))
+    ends = [
+        (float(response.f_hz[a]), float(response.f_hz[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return ", ".join(f"{low:g} to {high:g} Hz" if high > low else f"{low:g} Hz" for low, high in ends)
 
 
 def acceptable_misfit(response: FrequencyResponse) -> float:

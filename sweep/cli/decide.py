@@ -74,7 +74,9 @@ def tune(
     typer.echo(format_table(result, shutil.get_terminal_size((100, 24)).columns))
     if output is not None:
         write_json(result, output)
-    if plot is not None:
+    if plot is not None and result.worst_fitted is None:
+        typer.echo(f"{plot}: not drawn, for no operating point has a fit", err=True)
+    elif plot is not None:
         from ...tuning.figures import plot_result
 
         plot_result(result, plot)

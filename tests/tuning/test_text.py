@@ -113,7 +113,9 @@ def test_rows_are_left_out_in_sight() -> None:
     np.testing.assert_array_equal(~cut.usable, expected | (F_HZ == 150.0))
     text = " ".join(format_table(tune([cut], LINE), 200).split())
     assert f"{expected.sum()} of {len(response)} rows" in text
-    assert "were left out as asked (--exclude)" in text
+    assert "Hz, were left out as asked (--exclude)" in text
+    bands = text.partition(f"{np.sum(~cut.usable)} of {len(response)} rows, ")[2].partition(" Hz, were")[0]
+    assert len(bands.split(", ")) == 2  # two stretches, each named: none of the rows is at 150 Hz
     assert parse_bands(["150"]) == (Band(150.0, 150.0),)
 
 
@@ -143,3 +145,15 @@ def test_every_property_of_the_schema_has_a_description(floor: str) -> None:
                 yield from bare(value, f"{path}.{k}")
 
     assert list(bare(schema, "$")) == []
+
+
+def test_a_picture_shows_the_worst_entry_that_has_a_fit() -> None:
+    from seqsweep.tuning.figures import result_figure
+
+    nothing = without_bands(turbine(), parse_bands(["0-2000"]))
+    nothing = replace(nothing, meta={"op_id": "empty"})
+    result = tune([nothing, on_grid(0.3e6)], LINE)
+    assert result.worst.op_id == "empty"
+    assert result.worst_fitted is result.points[1]
+    assert result_figure(result)._suptitle.get_text().startswith("p300 (the worst of 2)")
+    assert tune([nothing], LINE).worst_fitted is None
