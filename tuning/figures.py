@@ -106,7 +106,7 @@ def _draw_page(axes: np.ndarray, result: TuningResult, point: PointTuning) -> No
     _draw_bode(axes[:4].reshape(2, 2), drawn)
     _draw_locus(axes[4], drawn)
     _draw_poles(axes[5], _entries(result, point), len(result.points))
-    for each, columns in ((axes[0], 4), (axes[4], 2), (axes[5], 1)):
+    for each, columns in ((axes[0], 5), (axes[4], 2), (axes[5], 1)):
         _legend(each, columns)
 
 
@@ -126,7 +126,7 @@ def bode_figure(point: PointTuning) -> Figure:
     figure = new_figure(4.2)
     axes = np.asarray(figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[3, 2]))
     _draw_bode(axes, _drawn(point))
-    _legend(axes[0, 0], 4)
+    _legend(axes[0, 0], 5)
     return figure
 
 
@@ -233,9 +233,10 @@ def _draw_rows(magnitude: Axes, phase: Axes, drawn: _Drawn, column: int) -> None
     pair = siso(np.asarray(response.f_hz), np.asarray(response.y), drawn.grid)
     device, seen = (pair.y1, pair.yg1) if column == 0 else (pair.y2, pair.yg2)
     crossed: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 4.0, "color": WARNING}
-    for mask, style in ((response.usable, {**_DOTS, "color": DEVICE}), (excluded(response), crossed)):
+    dotted: dict[str, Any] = {**_DOTS, "color": DEVICE}
+    for mask, style, label in ((response.usable, dotted, "rows"), (excluded(response), crossed, "rows left out")):
         if np.any(mask):
-            magnitude.plot(response.f_hz[mask], np.abs(device[mask]), **style)
+            magnitude.plot(response.f_hz[mask], np.abs(device[mask]), label=label, **style)
             phase.plot(response.f_hz[mask], np.degrees(np.angle(device[mask] / seen[mask])) % 360.0, **style)
 
 
