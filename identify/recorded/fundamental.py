@@ -137,7 +137,9 @@ def _wandering(segments: Segments, lines: list[Line], f1_hz: float, cycles: floa
         speed = 2.0 * pi * f1_hz + np.asarray(curve.deriv()(segments.t_s))
         phases = Phases(2.0 * pi * f1_hz * segments.t_s + curve(segments.t_s), speed)
         angle = curve(segments.t_s) + _angle(solve(segments, lines, phases))
-    return Frame(phases, float(np.mean(speed)) / (2.0 * pi), float(np.ptp(speed)) / (4.0 * pi), cycles)
+    left = float(np.std(angle - curve(segments.t_s)))
+    doubt = _wanders_beside(cycles, left) if left > max(DRIFT * noise, HOLD) else ""
+    return Frame(phases, float(np.mean(speed)) / (2.0 * pi), float(np.ptp(speed)) / (4.0 * pi), cycles, doubt)
 
 
 def _too_few(cycles: float, f1_hz: float) -> str:
@@ -151,7 +153,7 @@ def _too_few(cycles: float, f1_hz: float) -> str:
 def _wanders_beside(cycles: float, strays: float) -> str:
     return (
         f"the fundamental wanders (by {strays:.2g} rad), and with {cycles:.2g} cycles of |f - f1| in the window it "
-        "cannot be followed without following the tone: record longer"
+        "cannot be followed closely without following the tone: record longer"
     )
 
 
