@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import stat
+import struct
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -50,7 +51,7 @@ def look_through(path: Path) -> list[Member]:
         raise ArchiveError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise ArchiveError(f"{path}: a folder, not an FMU; give the .fmu file itself") from None
-    except (OSError, zipfile.BadZipFile, UnicodeDecodeError, ValueError) as error:
+    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError, RuntimeError, struct.error) as error:
         raise ArchiveError(f"{path}: not an FMU: {error}") from None
     if len(infos) > MOST_MEMBERS:
         raise ArchiveError(f"{path}: {len(infos)} members; at most {MOST_MEMBERS} are unpacked")

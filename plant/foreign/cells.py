@@ -18,7 +18,11 @@ _UNSIGNED = r"(?:\d+[.,]?\d*|[.,]\d+)"
 _MANTISSA = rf"[+-]?{_UNSIGNED}"
 _NUMBER = re.compile(rf"{_MANTISSA}(?:[eEdD][+-]?\d{{1,3}}|(?<=\d)[+-]\d{{3}})?")
 _COMPLEX = re.compile(rf"\(?{_MANTISSA}(?:[eE][+-]?\d+)?(?:\s*\+?[+-]\s*{_UNSIGNED}(?:[eE][+-]?\d+)?)?[ij]\)?")
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:(\.)\d{3})+,\d+|[+-]?\d{1,3}(?:(,)\d{3})+\.\d+")
+_BLANK = " '\u00a0\u2019\u202f"
+_THOUSANDS = re.compile(
+    r"[+-]?\d{1,3}(?:(\.)\d{3})+,\d+|[+-]?\d{1,3}(?:(,)\d{3})+\.\d+"
+    rf"|[+-]?\d{{1,3}}(?:([{_BLANK}])\d{{3}})+(?:[.,]\d+)?"
+)
 _FORTRAN = re.compile(rf"{_MANTISSA}(?:[dD][+-]?\d{{1,3}}|(?<=\d)[+-]\d{{3}})")
 _DATE = r"(?:\d{1,4}[-./]\d{1,2}[-./]\d{1,4}|\d{1,2}[- .]?[A-Za-z]{3,9}[- .]?\d{2,4})"
 CLOCK = (
@@ -78,4 +82,4 @@ def fortran_exponent(cell: str) -> bool:
 def thousands_sign(cell: str) -> str:
     """The sign between thousands of a number, empty where there is none."""
     found = _THOUSANDS.fullmatch(cell.strip())
-    return (found[1] or found[2]) if found else ""
+    return next(filter(None, found.groups()), "") if found else ""

@@ -18,11 +18,11 @@ from .clean_text import LATIN, Mending, encoding_of
 
 HEAD_BYTES = 1 << 16
 COMMENTS = ("#", "%", "//", "!")
-DELIMITERS = ("\t", ";", ",", " ")
+DELIMITERS = ("\t", ";", "|", ",", " ")
 SAMPLE = 40
 """Lines that decide on separators and kinds of columns."""
 
-NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
+NAMES = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "blank"}
 
 _TIMES = ("s", "ms", "us", "µs", "μs", "ns", "min", "h")
 _ELECTRIC = (
@@ -194,7 +194,7 @@ def _first_of_numbers(lines: Sequence[str], delimiter: str, kinds: Sequence[Kind
 
 def _decimal(rows: Sequence[Sequence[str]], kinds: Sequence[Kind], thousands: str) -> str:
     """The sign of fractions: a comma where numbers hold commas."""
-    if thousands:
+    if thousands in (".", ","):
         return "," if thousands == "." else "."
     numbers = [row[k] for row in rows for k, kind in enumerate(kinds) if kind == "number"]
     return "," if any("," in cell for cell in numbers) else "."
@@ -212,7 +212,7 @@ class _Heads(NamedTuple):
 def _headings(lines: Sequence[str], delimiter: str, kinds: Sequence[Kind]) -> _Heads:
     """Names and units of the columns among the lines above the numbers."""
     width = len(kinds)
-    ends = width - 1 if kinds[-1] == "empty" else width
+    ends = max((k + 1 for k, kind in enumerate(kinds) if kind != "empty"), default=width)
     filled = [line for line in lines if line.strip()]
     plain = _fitting([line for line in filled if not is_comment(line)], delimiter, width, ends)
     rows = plain or _fitting([_bare(line) for line in filled if is_comment(line)], delimiter, width, ends)[-1:]
@@ -245,7 +245,7 @@ def _of_width(cells: Sequence[str], width: int, ends: int) -> tuple[str, ...] | 
     row = list(cells)
     while len(row) > ends and not row[-1].strip():
         row.pop()
-    if len(row) == ends or len(row) == width:
+    if ends <= len(row) <= width:
         return tuple(cell.strip().strip('"').strip() for cell in [*row, *[""] * (width - len(row))])
     return None
 

@@ -6,6 +6,9 @@ arrays, which are references there, are followed within the file.
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ import numpy as np
 from .arrays import Named, is_numeric, recording_of
 from .recording import TEXT_LIMIT_BYTES, Recording, RecordingError
 
-MOST_OBJECTS = 10_000
+MOST_OBJECTS, MOST_REFERENCES = 10_000, 100_000
 DEEPEST = 32
 """Groups within groups: a file that goes deeper goes in circles."""
 
@@ -103,7 +106,7 @@ class _Collected:
         """Elements of a struct array or a cell: field f of element k is called prefix(k)/f."""
         import h5py
 
-        if references.size > MOST_OBJECTS or depth > DEEPEST:
+        if references.size > MOST_REFERENCES or depth > DEEPEST:
             self.others.append(name)
             return
         prefix, _, field = name.rpartition("/")
@@ -141,28 +144,26 @@ class _Collected:
 
     def _short_names(self) -> dict[str, str]:
         """Labels, else the last part of a path where it says something and is the only one of that name."""
-        names = {}
-        for name in self.numbers:
-            group, _, last = name.rpartition("/")
-            label = next((self.labels[f"{group}/{key}"] for key in _LABELS if f"{group}/{key}" in self.labels), "")
-            mine = [
-                other for other in self.numbers if other.rpartition("/")[0] == group and self.numbers[other].size > 1
-            ]
-            if label and len([other for other in mine if other.rpartition("/")[2].lower() in LEAVES]) == 1:
-                names[name] = label if last.lower() in LEAVES else last
-            else:
-                names[name] = (group.rpartition("/")[2] or last) if last.lower() in LEAVES and group else last
-        given = list(names.values())
-        return {
-            name: short if given.count(short) == 1 or short.lower() in ("time", "t") else name
-            for name, short in names.items()
-        }
+        leaves = Counter(
+            name.rpartition("/")[0]
+            for name, each in self.numbers.items()
+            if each.size > 1 and name.rpartition("/")[2].lower() in LEAVES
+        )
+        names = {name: self._short_name(name, leaves) for name in self.numbers}
+        given = Counter(names.values())
+        shared = {short for short, n in given.items() if n > 1 and short.lower() not in ("time", "t")}
+        return {name: name if short in shared else short for name, short in names.items()}
+
+    def _short_name(self, name: str, leaves: Mapping[str, int]) -> str:
+        group, _, last = name.rpartition("/")
+        if last.lower() not in LEAVES or not group:
+            return last
+        label = next((self.labels[f"{group}/{key}"] for key in _LABELS if f"{group}/{key}" in self.labels), "")
+        return label if label and leaves[group] == 1 else group.rpartition("/")[2]
 
 
 def _records(singles: dict[str, Any]) -> tuple[set[str], list[Named]]:
     """A struct with one number per field and sample, s(1)/va, s(2)/va, ...: one waveform per field."""
-    import re
-
     fields: dict[str, list[str]] = {}
     for name in singles:
         if found := re.fullmatch(r"(.*)\((\d+)\)/([^/]+)", name):

@@ -36,6 +36,17 @@ def written(path, rows, head="Time,Va,Vb,Vc,Ia,Ib,Ic", encoding="utf-8"):
     return path
 
 
+MILLI = [f"{name} [m{'V' if name[0] == 'V' else 'A'}]" for name in files.NAMES]
+
+
+def thousands(signs):
+    """Rows in mV and mA; ``signs`` are those between thousands and before fractions."""
+    table = str.maketrans(",.", signs)
+    return [
+        ";".join(f"{x:,.6f}".translate(table) for x in [t, *(1e3 * row)]) for t, row in zip(T, SAMPLES, strict=True)
+    ]
+
+
 def clock(k, form="%Y-%m-%d %H:%M:%S.%f"):
     """Time of sample k, as a date; midnight falls into the record."""
     return (dt.datetime(2026, 3, 1, 23, 59, 59, 900_000) + dt.timedelta(microseconds=100 * k)).strftime(form)
@@ -68,6 +79,10 @@ TEXTS = {
         lines(),
         "Time," + ",".join(f"Phase {n[1].upper()} {'voltage' if n[0] == 'V' else 'current'}" for n in files.NAMES),
     ),
+    "empty cells at the end of every row": lambda p: written(p, [f"{row},,," for row in lines()]),
+    "bars": lambda p: written(p, lines("|".join), "|".join(HEADS)),
+    "thousands with points": lambda p: written(p, thousands(".,"), ";".join(["Time", *MILLI])),
+    "thousands with blanks": lambda p: written(p, thousands(" ,"), ";".join(["Time", *MILLI])),
     "quoted numbers": lambda p: written(p, lines(lambda c: ",".join(f'"{x}"' for x in c))),
     "decimal commas": lambda p: written(p, lines(lambda c: ";".join(c).replace(".", ",")), ";".join(HEADS)),
     "decimal commas in quotes": lambda p: written(
@@ -311,6 +326,21 @@ def test_struct_arrays_of_matlab_73_are_followed(tmp_path):
     with open(tmp_path / "a.mat", "r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file")
     assert difference(tmp_path / "a.mat") < 1e-15
+
+
+def test_a_record_per_sample_of_matlab_73_is_followed(tmp_path):
+    rows = ROWS[::15]
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        group = file.create_group("rec")
+        for k, field in enumerate(("time", *files.NAMES)):
+            refs = group.create_dataset(field, (len(rows), 1), dtype=h5py.ref_dtype)
+            for j, row in enumerate(rows):
+                refs[j, 0] = file.create_dataset(f"#refs#/{field}{j}", data=[[row[k]]]).ref
+    with open(tmp_path / "a.mat", "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+    record = open_waveforms(tmp_path / "a.mat", "load").record(0, len(rows))
+    assert record.dt_s == pytest.approx(15 * DT)
+    assert np.max(np.abs(record.v - TRUTH.v[::15])) < 1e-9
 
 
 def test_a_data_set_that_was_never_written_is_refused(tmp_path):

@@ -238,7 +238,7 @@ def _wrong_refusal(text: str, path: Path) -> str:
     if len(lines) > 1 and path.suffix != ".toml":
         return "several lines"
     cause = text.replace(str(path), "").replace(path.name, "").strip(": ")
-    return "" if len(cause) > 8 else "no cause"
+    return "" if len(cause) >= 8 else "no cause"
 
 
 if __name__ == "__main__":
