@@ -101,14 +101,14 @@ class FrequencyResponse:
     @property
     def ok(self) -> np.ndarray:
         """(n,) bool: rows with status "ok"."""
-        return np.asarray(self.status) == "ok"
+        return np.asarray(np.asarray(self.status) == "ok")
 
     @property
     def usable(self) -> np.ndarray:
         """(n,) bool: rows to learn from: finite, and "ok" or "noisy" with a covariance that says how noisy."""
         known = np.isfinite(np.asarray(self.covariance)).all(axis=(1, 2))
         noisy = (np.asarray(self.status) == "noisy") & known
-        return (self.ok | noisy) & np.isfinite(self.y).all(axis=(1, 2))
+        return np.asarray((self.ok | noisy) & np.isfinite(self.y).all(axis=(1, 2)))
 
     @property
     def f_mirror_hz(self) -> np.ndarray:

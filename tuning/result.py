@@ -317,7 +317,8 @@ def schema() -> dict[str, Any]:
     """JSON schema of the format, major version 1."""
     from importlib.resources import files
 
-    return json.loads(files(__package__).joinpath("schema", SCHEMA).read_text(encoding="utf-8"))
+    content: dict[str, Any] = json.loads(files(__package__).joinpath("schema", SCHEMA).read_text(encoding="utf-8"))
+    return content
 
 
 def _entry_json(point: PointTuning, required: float) -> dict[str, Any]:

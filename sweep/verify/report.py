@@ -27,7 +27,7 @@ def to_json(result: Verification) -> dict[str, Any]:
 
     tuned, scenario, settings = result.tuned, result.scenario, result.settings
     names = ("without", "with")
-    return _plain(
+    content: dict[str, Any] = _plain(
         {
             "format": FORMAT,
             "version": VERSION,
@@ -52,6 +52,7 @@ def to_json(result: Verification) -> dict[str, Any]:
             "remarks": list(result.remarks),
         }
     )
+    return content
 
 
 def write_json(result: Verification, path: str | Path) -> None:
