@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .identify.surrogate.store import read_surrogate
     from .identify.surrogate.surrogate import Surrogate, build_surrogate
     from .identify.table.read import Table, read_table
+    from .looking_further import farm, judge, metrics, surrogate
     from .making import check_plant, make_plant
     from .plant.boxes.step_function import plant_from_lanes, plant_from_step
     from .plant.errors import SeqsweepError
@@ -42,6 +43,10 @@ _HOME = {
     "adaptive_grid": "sweeping",
     "tune": "deciding",
     "verify": "deciding",
+    "metrics": "looking_further",
+    "judge": "looking_further",
+    "farm": "looking_further",
+    "surrogate": "looking_further",
     "read_table": "identify.table.read",
     "write_table": "tables",
     "identify": "tables",
@@ -69,6 +74,10 @@ __all__ = [  # noqa: RUF022 (in the order of the work)
     "adaptive_grid",
     "tune",
     "verify",
+    "metrics",
+    "judge",
+    "farm",
+    "surrogate",
     "read_table",
     "write_table",
     "identify",

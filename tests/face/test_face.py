@@ -235,6 +235,16 @@ def test_recordings_are_identified(tmp_path):
     assert np.array_equal(ss.read_table(tmp_path / "y.parquet")[found.meta["op_id"]].y, found.y)
 
 
+def test_metrics_and_a_bank_of_one_grid(y, tmp_path):
+    found = ss.metrics(y)
+    assert found.op_id == "p065"
+    (tmp_path / "weak.toml").write_text('[[element]]\nkind = "series"\nr_ohm = 0.0168\nx_ohm = 0.35\n', "utf-8")
+    (pair,) = ss.judge(y, tmp_path, jobs=1, elements=0)
+    assert pair.verdict == "unstable"  # as `tune` says of 1.4 times the grid of the paper
+    with pytest.raises(ss.SeqsweepError, match="nowhere"):
+        ss.judge(y, tmp_path / "nowhere")
+
+
 # What is refused
 
 

@@ -1,0 +1,110 @@
+"""Beyond one grid, in a notebook: operators' metrics, banks of grids, farms on a network, any operating point."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+from .identify.response import FrequencyResponse
+from .identify.surrogate.surrogate import Surrogate, build_surrogate
+from .identify.table.read import Table, read_table
+from .plant.errors import SeqsweepError
+from .sweep.bank.judge import judge_bank
+from .tables import as_table
+from .tuning.bank.entries import bank_of
+from .tuning.bank.judgement import PairVerdict
+from .tuning.farm.document import farm_of
+from .tuning.farm.farm import Farm, judged
+from .tuning.grids.open import open_grid
+from .tuning.metrics import Metrics
+from .tuning.metrics import metrics as metrics_of
+
+
+def metrics(y: FrequencyResponse, behind: str | None = None) -> Metrics:
+    """What operators read from a scan: Jacobian, frequency perturbation, swing fit, stiffness, passivity.
+
+    Parameters
+    ----------
+    y : FrequencyResponse
+        One operating point; pn frame.
+    behind : str, optional
+        Look from the source behind this grid: R+jX in ohm at f1, or a file.
+
+    Raises
+    ------
+    SeqsweepError
+        If the response does not say its rating.
+    """
+    bases = as_table(y).meta.get("bases")
+    if bases is None:
+        raise SeqsweepError(
+            "this response does not say its rating (meta['table']['bases']): sweep or read_table gave it"
+        )
+    grid = None if behind is None else open_grid(behind, y.f1_hz)
+    return metrics_of(y, (bases["rated_voltage_v"], bases["rated_power_va"]), grid)
+
+
+def judge(
+    y: FrequencyResponse | Table, grids: str | Path, *, elements: int = 5, jobs: int | None = None
+) -> list[PairVerdict]:
+    """Every operating point on every grid of a bank, the worst first.
+
+    Parameters
+    ----------
+    y : FrequencyResponse or Table
+        Operating points of the device; pn frame.
+    grids : path
+        A folder of grids, a family.toml, a Parquet file, or one file of a grid.
+    elements : int
+        For how many of the worst pairs the critical value of every element is sought.
+    jobs : int, optional
+        Workers; as many as there are processors unless given.
+    """
+    table = as_table(y)
+    return judge_bank(
+        table.responses,
+        table.meta.get("bases", {}),
+        "",  # nothing is kept on the disk, so nothing need be told apart
+        bank_of(Path(grids)),
+        output=None,
+        jobs=jobs or os.cpu_count() or 1,
+        elements=elements,
+    )
+
+
+def farm(document: str | Path, out: Sequence[str] = ()) -> Farm:
+    """Load flow, verdict and modes of many devices on one network, and who takes part in each mode.
+
+    Parameters
+    ----------
+    document : path
+        The farm as a TOML file; its tables are named relative to it.
+    out : sequence of str
+        Devices or equipment that are out of service.
+
+    Raises
+    ------
+    SeqsweepError
+        If the file is no farm, or a table of it cannot be read.
+    """
+    path = Path(document)
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        raise SeqsweepError(f"{path}: no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SeqsweepError(f"{path}: not a TOML file: {error}") from None
+    return judged(farm_of(content, out), lambda name: read_table(path.parent / name))
+
+
+def surrogate(y: Table) -> Surrogate:
+    """Y at any operating point within those of a table, with its doubt: ``surrogate(table).response((p, q, v))``.
+
+    Raises
+    ------
+    SeqsweepError
+        If the table holds too few operating points, or some that leave a direction unseen.
+    """
+    return build_surrogate(y.responses)
