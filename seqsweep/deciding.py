@@ -17,13 +17,13 @@ from .sweep.verify.runs import Verification
 from .sweep.verify.scenario import Story, read_story, story_of
 from .tables import as_table
 from .tuning.result import TuningResult, to_json
-from .tuning.siso import Grid, parse_grid
+from .tuning.siso import Grid
 from .tuning.tune import tune as tuned
 
 
 def tune(
     y: FrequencyResponse | Table,
-    grid: str | complex,
+    grid: str | complex | Grid,
     *,
     scale: float | Sequence[float] = 1.0,
     margin: float = 1.4,
@@ -38,8 +38,9 @@ def tune(
     ----------
     y : FrequencyResponse or Table
         What was swept, identified or imported; pn frame.
-    grid : str or complex
-        Grid impedance R + jX in ohm at f1, such as ``"0.012+0.25j"``; "own": the one each point was swept for.
+    grid : str, complex or Grid
+        Grid impedance R + jX in ohm at f1, such as ``"0.012+0.25j"``; a file with a grid; a grid itself; "own": the
+        one each point was swept for.
     scale : float or sequence of float
         Multiplies the grid impedance; several: one entry per operating point and scale.
     margin : float
@@ -65,7 +66,7 @@ def tune(
     """
     table = _without(_stated(as_table(y), stable_on), exclude)
     f1_hz = table.responses[0].f1_hz if table.responses else 50.0
-    on: Grid | Literal["own"] = "own" if grid == "own" else parse_grid(str(grid).strip("()"), f1_hz)
+    on: Grid | Literal["own"] = "own" if grid == "own" else _grid_of(grid, f1_hz)
     scales = tuple(scale) if isinstance(scale, Sequence) else (scale,)
     result = tuned(table, on, margin=margin, scales=scales)
     if not confirm:
@@ -73,6 +74,13 @@ def tune(
     from .sweep.confirm import confirm as swept_again
 
     return swept_again(result, table.meta.get("configuration", {}), jobs=jobs or os.cpu_count() or 1)
+
+
+def _grid_of(grid: str | complex | Grid, f1_hz: float) -> Grid:
+    """A grid as it is, or what its text or file says."""
+    from .tuning.grids.open import open_grid
+
+    return open_grid(str(grid).strip("()"), f1_hz) if isinstance(grid, str | complex) else grid
 
 
 def _stated(table: Table, stable_on: str | None) -> Table:

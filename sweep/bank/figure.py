@@ -66,7 +66,7 @@ def _draw_damping(
     grid_lines(axes)
     axes.axhline(0.0, color=WARNING, linewidth=0.8)
     axes.errorbar(x, re, yerr=1.96 * std, fmt="none", ecolor=QUIET, elinewidth=0.6, zorder=1)
-    drawn = axes.scatter(x, re, c=f1_hz + nu, s=14, cmap="viridis", zorder=2)
+    drawn = axes.scatter(x, re, c=f1_hz + nu, s=14 if len(known) <= 400 else 5, cmap="viridis", zorder=2)
     axes.figure.colorbar(drawn, ax=axes, label="mode, upper component (Hz)", pad=0.01)
     axes.set_yscale("symlog", linthresh=1.0)
     axes.set_ylabel("Re of the deciding mode (rad/s)\nbars: 95 %")

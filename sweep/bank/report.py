@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -117,10 +117,12 @@ def _edges(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
 
 
 def _warnings(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
-    """What the reader should know, each remark once, those of most pairs first."""
-    counts = Counter(text for v in verdicts for text in v.warnings)
-    for text, count in counts.most_common(3):
-        yield f"{count} of {len(verdicts)} pairs: {text}"
+    """What the reader should know, remarks that differ in their numbers alone once, those of most pairs first."""
+    alike: dict[str, list[str]] = {}
+    for text in (text for v in verdicts for text in v.warnings):
+        alike.setdefault(re.sub(r"[-+]?[\d.]+(?:e[-+]?\d+)?", "#", text), []).append(text)
+    for texts in sorted(alike.values(), key=len, reverse=True)[:3]:
+        yield f"{len(texts)} of {len(verdicts)} pairs, such as: {texts[0]}"
 
 
 def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:

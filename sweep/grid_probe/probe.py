@@ -194,7 +194,8 @@ def _not_rl(found: GridImpedance) -> str:
     f_hz, z, fitted = found.f_hz[worst], found.z[worst], found.fitted(found.f_hz)[worst]
     return (
         f"no R-L branch: one R and one L miss {found.misfit:.1%} of the voltage, most clearly at {f_hz:.4g} Hz with "
-        f"{z.real:.4g} {z.imag:+.4g}j ohm against {fitted.real:.4g} {fitted.imag:+.4g}j ohm (lines of --plot and -o)"
+        f"{z.real:.4g} {z.imag:+.4g}j ohm against {fitted.real:.4g} {fitted.imag:+.4g}j ohm "
+        "(lines of --plot and -o; seqsweep tune --grid GRID.json takes them)"
     )
 
 

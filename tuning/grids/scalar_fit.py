@@ -33,7 +33,8 @@ MIN_ROWS = 8
 NOISE_FREE = 1e-8
 """Relative misfit below which rows are taken to be without noise."""
 
-_FLOOR = 1e-13  # no misfit counts below
+_EXACT = 1e-13  # misfit of rows without noise below which nothing counts
+_ROUNDED = 5e-7  # the same for others, as a part of |z|: the last digits of a table are no resonances
 _SPARE = 4  # rows beyond the parameters that make a small misfit mean something
 _STAGES = (8, 14, 24, 40, 64, 90)  # degrees of the interpolant
 _INTERPOLATED = 1e-9  # its error, relative to the largest value, that leaves no room for noise
@@ -41,14 +42,18 @@ _NOISY = 0.1  # below this part an error that no longer falls is noise
 _MOST_POLES = 80
 _PATIENCE = 3  # pairs without a gain in BIC after which a search that explains the rows ends
 _MOVES = 6
+_NARROWEST = 1e-4  # half width of a pole that noisy rows can tell, as a part of their distance
+_LIGHT = 0.02  # damping ratio below which the sign of a residue counts
+_CARRYING_ROWS = 4  # at so many rows a pole has to show
 
 
 class _Rows(NamedTuple):
-    """s (n,) rad/s, z (n,) ohm, weight (n,) 1/ohm."""
+    """s (n,) rad/s, z (n,) ohm, weight (n,) 1/ohm, and the misfit below which a higher order is no better."""
 
     s: np.ndarray
     z: np.ndarray
     weight: np.ndarray
+    floor: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +98,11 @@ def fit_impedance(
     if len(f_hz) < MIN_ROWS:
         raise GridError(f"{name or 'grid'}: {len(f_hz)} rows; a rational Z(f) needs at least {MIN_ROWS}")
     size = np.maximum(np.abs(z), 1e-9 * np.abs(z).max())
-    rows = _Rows(2j * np.pi * f_hz, z, 1.0 / size if std is None else 1.0 / np.maximum(std, 1e-12 * size))
+    rows = _Rows(2j * np.pi * f_hz, z, 1.0 / size if std is None else 1.0 / np.maximum(std, 1e-12 * size), _EXACT)
     trial = _interpolated(rows, size)
     if trial is None:
-        trial = _pruned(rows, _settled(rows, _grown(rows, size)))
+        rows = rows._replace(floor=_ROUNDED * float(np.median(rows.weight * size)))
+        trial = _supported(rows, _pruned(rows, _settled(rows, _grown(rows, size))), size)
     trial = _settled(rows, trial)
     return _finished(rows, trial, f1_hz, name, size, std is not None)
 
@@ -121,7 +127,7 @@ def _solved(rows: _Rows, poles: np.ndarray, at_zero: bool) -> _Trial:
     x = np.linalg.lstsq(a / norm, b, rcond=1e-14)[0] / norm
     misfit = b - a @ x
     n_data, n_parameters = len(b), len(x) + order_of(poles)
-    cost = max(float(np.mean(misfit**2)), _FLOOR**2)
+    cost = max(float(np.mean(misfit**2)), rows.floor**2)
     return _Trial(poles, at_zero, x, misfit, n_data * np.log(cost) + n_parameters * np.log(n_data))
 
 
@@ -135,7 +141,7 @@ def _moved(rows: _Rows, poles: np.ndarray, at_zero: bool, moves: int = _MOVES) -
         trial = _solved(rows, found, at_zero)
         gain, poles = best.rms - trial.rms, found
         best = min(best, trial, key=lambda t: t.rms)
-        if gain < 1e-3 * best.rms or best.rms < _FLOOR:
+        if gain < 1e-3 * best.rms or best.rms < rows.floor:
             break
     return best
 
@@ -227,10 +233,12 @@ def _kept(rows: _Rows, size: np.ndarray, poles: np.ndarray, at_zero: bool) -> _T
 
 
 def _significant(rows: _Rows, trial: _Trial, size: np.ndarray) -> np.ndarray:
-    """Poles whose term is more than rounding of z at some row."""
-    terms = _terms(rows.s, trial)
-    level = max(1e-11, 0.03 * float(np.sqrt(np.mean(_relative(rows, trial, size) ** 2))))
-    return trial.poles[np.max(np.abs(terms) / size[:, None], axis=0) > level]
+    """Poles whose term shows above the misfit at several rows: one that is glued to a single row fits its error."""
+    if len(trial.poles) == 0:
+        return trial.poles
+    terms = np.abs(_terms(rows.s, trial)) / size[:, None]
+    level = max(1e-11, float(np.sqrt(np.mean(_relative(rows, trial, size) ** 2))))
+    return trial.poles[np.sort(terms, axis=0)[-_CARRYING_ROWS] > level]
 
 
 def _terms(s: np.ndarray, trial: _Trial) -> np.ndarray:
@@ -260,7 +268,7 @@ def _grown(rows: _Rows, size: np.ndarray) -> _Trial:
             trial = _moved(rows, _with_pair(rows, trial), at_zero, 4)
             since = 0 if trial.bic < best.bic else since + 1
             best = min(best, trial, key=lambda t: t.bic)
-            if best.rms < 1e-11 or (since >= _PATIENCE and _is_explained(best, rows, size)):
+            if best.rms < rows.floor or (since >= _PATIENCE and _is_explained(best, rows, size)):
                 break
         chosen.append(best)
     return min(chosen, key=lambda t: t.bic)
@@ -280,6 +288,32 @@ def _with_pair(rows: _Rows, trial: _Trial) -> np.ndarray:
     by_row = np.hypot(trial.misfit[:n], trial.misfit[n:])
     beta = abs(rows.s[int(np.argmax(by_row))])
     return upper_half(np.append(trial.poles, beta * (-0.02 + 1j)))
+
+
+def _supported(rows: _Rows, trial: _Trial, size: np.ndarray) -> _Trial:
+    """Without poles that fit the error of single rows, the others settled anew each time."""
+    for _ in range(len(trial.poles)):
+        told = _told(rows, trial)
+        kept = _significant(rows, trial, size) if len(told) == len(trial.poles) else told
+        if len(kept) == len(trial.poles):
+            break
+        trial = _settled(rows, _moved(rows, kept, trial.at_zero))
+    return trial
+
+
+def _told(rows: _Rows, trial: _Trial) -> np.ndarray:
+    """Poles that noisy rows can tell: not much narrower than the rows' distance, and passive if lightly damped.
+
+    A passive impedance has residues of positive real part at poles near the axis.
+    """
+    n_real, n_pair = counts_upper(trial.poles)
+    x = trial.x[1:] if trial.at_zero else trial.x
+    residue = x[n_real : n_real + n_pair]
+    pairs, w = trial.poles[n_real:], np.abs(rows.s)
+    above = np.clip(np.searchsorted(w, pairs.imag), 1, len(w) - 1)
+    wide = np.abs(pairs.real) > _NARROWEST * (w[above] - w[above - 1])
+    passive = (residue > 0.0) | (np.abs(pairs.real) > _LIGHT * np.abs(pairs))
+    return np.concatenate([trial.poles[:n_real], pairs[wide & passive]])
 
 
 def _pruned(rows: _Rows, trial: _Trial) -> _Trial:

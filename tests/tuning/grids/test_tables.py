@@ -198,3 +198,16 @@ def test_what_a_person_writes_opens_the_right_kind(tmp_path: Path) -> None:
     (tmp_path / "g.toml").write_text("[[element\n")
     with pytest.raises(ValueError, match="not TOML"):
         open_grid(str(tmp_path / "g.toml"), 50.0)
+
+
+@pytest.mark.parametrize("digits", [3, 5])
+def test_the_last_digits_of_a_table_are_no_resonances(digits: int) -> None:
+    """A series R-L-C written with a few digits keeps its one mode, at zero, and is passive."""
+    f = np.geomspace(1.0, 2500.0, 100)
+    for seed in range(4):
+        z = impedance_of(random_document(np.random.default_rng(seed), "series_capacitor"), 2j * np.pi * f)
+        rounded = [complex(float(f"{x.real:.{digits}g}"), float(f"{x.imag:.{digits}g}")) for x in z]
+        grid = fit_impedance(f, np.array(rounded), 50.0)
+        assert np.any(grid.poles == 0.0)
+        light = grid.poles[(np.abs(grid.poles.real) < 1e-3 * np.abs(grid.poles)) & (grid.poles != 0.0)]
+        assert len(light) == 0
