@@ -68,6 +68,14 @@ def write_figure(path: str | Path, make: Callable[[], Figure]) -> None:
         make().savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
 
 
+def styled(make: Callable[[], str]) -> str:
+    """What ``make`` gives, with every figure that it draws in the common style."""
+    import matplotlib
+
+    with matplotlib.rc_context(_RC):
+        return make()
+
+
 def checked_suffix(path: str | Path) -> str:
     """The suffix of a picture's file, in small letters; `SeqsweepError` where no picture is written so."""
     suffix = Path(path).suffix.lower()

@@ -24,6 +24,7 @@ from . import decide as cli_decide
 from . import farm as cli_farm
 from . import faults
 from . import files as cli_files
+from . import handover as cli_handover
 from . import metrics as cli_metrics
 from . import region as cli_region
 from . import sweep as cli_sweep
@@ -57,6 +58,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "grid": cli_decide.grid,
     "surrogate": cli_region.surrogate,
     "farm": cli_farm.farm,
+    "report": cli_handover.report,
     "metrics": cli_metrics.metrics,
     "check": cli_sweep.check,
     "identify": cli_files.identify,

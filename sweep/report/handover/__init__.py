@@ -1,0 +1,1 @@
+"""The report that an engineer hands over: one HTML file that needs no network."""
