@@ -31,17 +31,22 @@ _GROUPS = {"abc": ("a", "b", "c"), "alphabeta": ("alpha", "beta"), "ll": ("ab", 
 
 _LINE_TO_LINE = ("ll", "ab", "bc", "ca")
 
-_VECTORS = {"v_pcc": ("V", "V_RE"), "i_l": ("A", "I_L_RE"), "i_g": ("A", "I_G_RE")}
+_VECTORS = {"v_pcc": ("V", "V_RE"), "v_f": ("V", "V_F_RE"), "i_l": ("A", "I_L_RE"), "i_g": ("A", "I_G_RE")}
 """Vectors that a controller may be told: dimension, and their quantity in the kernel."""
 
 _SCALARS = {
     "v_dc": ("V", "V_DC"),
+    "i_dc": ("A", "I_DC"),
     "p_pcc": ("W", "P_PCC"),
     "q_pcc": ("var", "Q_PCC"),
     "time": ("s", "TIME"),
     "p_ref": ("W", "P_REF"),
+    "q_ref": ("var", "Q_REF"),
     "v_ref": ("V", "V_REF"),
 }
+
+GATE = "gate"
+"""An output that is 0 while the bridge is blocked."""
 
 _COMMANDS = {"v_conv": "V", "m_conv": "1"}
 """What a controller may give: the converter's voltage, or its modulation index v_conv / (v_dc / 2)."""
@@ -99,21 +104,22 @@ class Output(NamedTuple):
 
 
 class Map(NamedTuple):
-    """A checked signal map; ``modulated`` as in the kernel's `Wiring`."""
+    """A checked signal map; ``modulated`` as in the kernel's `Wiring`, ``gate`` the port that blocks the bridge at 0."""
 
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]
     modulated: bool
+    gate: tuple[Terminal, ...]
 
 
 def signal_names() -> tuple[list[str], list[str]]:
     """Names of signals for input ports and for output ports, the short ones for several components included."""
     parts = [*_GROUPS, *_DIRECTIONS]
     told = [
-        f"{vector}_{part}" for vector in _VECTORS for part in parts if vector == "v_pcc" or part not in _LINE_TO_LINE
+        f"{vector}_{part}" for vector in _VECTORS for part in parts if vector[0] == "v" or part not in _LINE_TO_LINE
     ]
     given = [f"{vector}_{part}" for vector in _COMMANDS for part in parts if part not in _LINE_TO_LINE]
-    return [*told, *_SCALARS], given
+    return [*told, *_SCALARS], [*given, GATE]
 
 
 def wire(
@@ -137,14 +143,16 @@ def wire(
         )
     fed = [part for port in inputs for part in _input(port, _entry("inputs", port, told[port.name]))]
     by_name = {port.name: port for port in outputs}
+    entries = {name: _entry("outputs", by_name[name], entry) for name, entry in given.items()}
+    gates = [by_name[name] for name, entry in entries.items() if entry.get("signal") == GATE]
+    if len(gates) > 1 or any(port.width != 1 for port in gates):
+        raise WiringError(f"outputs: the signal {GATE!r} belongs to one port of one number")
     taken = [
-        part
-        for name, entry in given.items()
-        for part in _output(by_name[name], _entry("outputs", by_name[name], entry))
+        part for name, entry in entries.items() if entry.get("signal") != GATE for part in _output(by_name[name], entry)
     ]
     names = [name for name, _ in taken]
     modulated = _whole(names)
-    return Map(tuple(fed), tuple(part for _, part in taken), modulated)
+    return Map(tuple(fed), tuple(part for _, part in taken), modulated, tuple(gates))
 
 
 def _known(key: str, ports: Sequence[Terminal], entries: Mapping[str, Any]) -> None:

@@ -41,11 +41,11 @@ def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0)
     moved = _over_a_step(a, converter, 0.0, dt_s).real
     if source.kind == "ideal":
         v_pcc, i_g = np.zeros(3), np.array([1.0, 1.0 / p.r_f_ohm, 0.0])
-        return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 1.0, -1.0 / p.r_f_ohm)
+        return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 1.0, -1.0 / p.r_f_ohm, v_pcc, 1.0)
     share = _share(p, g_s)
     v_pcc = share * np.array([p.r_f_ohm, 1.0, -p.r_f_ohm])
     i_g = np.array([1.0 - share, (1.0 - share) / p.r_f_ohm, share])
-    return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 0.0, 0.0)
+    return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 0.0, 0.0, v_pcc, 0.0)
 
 
 def forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float, g_s: float = 0.0) -> np.ndarray:

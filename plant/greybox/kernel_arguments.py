@@ -73,6 +73,8 @@ def wiring_of(signals: Map) -> Any:
         np.array([part.cell for part in outputs], np.int64),
         np.array([part.weight for part in outputs], complex),
         signals.modulated,
+        np.array([kinds[part.type] for part in signals.gate], np.int64),
+        np.array([part.first for part in signals.gate], np.int64),
     )
 
 
@@ -81,11 +83,11 @@ def warm_up() -> None:
     from ..kernels import grey as kernel
 
     nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
-    cells, wiring = cells_of(np.zeros(8, np.uint8)), wiring_of(Map((), (), False))
+    cells, wiring = cells_of(np.zeros(8, np.uint8)), wiring_of(Map((), (), False, ()))
     addresses = np.array([ctypes.cast(nothing, ctypes.c_void_p).value, 0], np.int64)
     box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring, kernel.Port(0.0, 0.0, 0.0, 0.0, 0.0))
     source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex))
-    network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0)
+    network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0, 0.0, 0.0)
     quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
     kernel.inform(box, network, store, quantities, x, 0j, 1.0)
     common = (box, source, network, store, 0, quantities, x, 1.0)

@@ -440,8 +440,14 @@ class SampledTurbine:
 
         quantities = np.zeros(kernel.N_QUANTITIES)
         quantities[kernel.P_REF], quantities[kernel.V_REF], quantities[kernel.ONE] = state.power_w, state.voltage_v, 1.0
-        store = kernel.Store(self.parameters.c_dc_f, state.power_w, self.dt_s, self._delay)
+        store = self._store(state)
         return cached_network(self.parameters, state.source, self.dt_s), store, quantities
+
+    def _store(self, state: GreyState) -> Any:
+        """DC link and rhythm, as the kernel takes them."""
+        from ..kernels.grey import Store
+
+        return Store(self.parameters.c_dc_f, state.power_w, self.dt_s, self._delay, 0.0, 0.0)
 
     def _tones(self, job: Job) -> Any:
         """The source as the kernel takes it, the fundamental first."""

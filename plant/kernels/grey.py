@@ -1,4 +1,4 @@
-"""The circuit of the reference turbine around a sampled controller that is called by its address.
+"""A converter's circuit around a sampled controller that is called by its address.
 
 Space vectors in the stationary frame, phase peak. Between two samples the converter's voltage stands
 still, so the network is linear with known input: it is advanced exactly, by matrices prepared for the
@@ -21,8 +21,9 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 # Quantities that a controller may be told; vectors are re, im. The last one is zero.
-V_RE, V_IM, I_L_RE, I_L_IM, I_G_RE, I_G_IM, V_DC, P_PCC, Q_PCC, TIME, P_REF, V_REF, ONE, ZERO = range(14)
-N_QUANTITIES = 14
+V_RE, V_IM, V_F_RE, V_F_IM, I_L_RE, I_L_IM, I_G_RE, I_G_IM = range(8)
+V_DC, I_DC, P_PCC, Q_PCC, TIME, P_REF, Q_REF, V_REF, ONE, ZERO = range(8, 18)
+N_QUANTITIES = 18
 
 # States of the network: current out of the converter, shunt voltage, current out of the device.
 I_L, V_C, I_G = range(3)
@@ -67,6 +68,8 @@ class Wiring(NamedTuple):
         What its value adds to the converter's voltage (V), or to its modulation.
     modulated : bool
         Whether the outputs are the modulation index, v_conv / (v_dc / 2).
+    gate_kind, gate_cell : (1,) or (0,) int
+        The cell that says whether the bridge switches, where the controller has one.
     """
 
     in_kind: np.ndarray
@@ -77,6 +80,8 @@ class Wiring(NamedTuple):
     out_cell: np.ndarray
     out_vector: np.ndarray
     modulated: bool
+    gate_kind: np.ndarray
+    gate_cell: np.ndarray
 
 
 class Network(NamedTuple):
@@ -92,6 +97,10 @@ class Network(NamedTuple):
         From the states to v_pcc and to i_g.
     v_source, i_source : float
         The same from the source voltage.
+    f_states : (3,) float
+        From the states to the voltage of the shunt branch, which is v_pcc where nothing lies between.
+    f_source : float
+        The same from the source voltage.
     """
 
     phi: np.ndarray
@@ -100,6 +109,8 @@ class Network(NamedTuple):
     i_states: np.ndarray
     v_source: float
     i_source: float
+    f_states: np.ndarray
+    f_source: float
 
 
 class Skew(NamedTuple):
@@ -121,12 +132,17 @@ class Skew(NamedTuple):
 
 
 class Store(NamedTuple):
-    """The DC link and the rhythm: capacitance (F), power into it (W), step (s), samples of delay (0 or 1)."""
+    """The DC link and the rhythm: capacitance (F), constant power into it (W), step (s), samples of delay (0 or 1).
+
+    A battery of ``e_v`` (V) behind ``1 / g_s`` (S) gives v_dc (e_v - v_dc) g_s besides.
+    """
 
     c_dc_f: float
     power_w: float
     dt_s: float
     delay: int
+    e_v: float
+    g_s: float
 
 
 class Port(NamedTuple):
@@ -255,39 +271,60 @@ def _command(box):
 
 
 @njit(forceinline=True, error_model="numpy")
+def _switches(box):
+    """Whether the controller lets the bridge switch."""
+    gates = box.wiring.gate_cell
+    return len(gates) == 0 or _told(box.outputs, box.wiring.gate_kind[0], gates[0]) != 0.0
+
+
+@njit(forceinline=True, error_model="numpy")
+def _power_in(v_dc, store):
+    """Power into the DC link (W)."""
+    return store.power_w + store.g_s * v_dc * (store.e_v - v_dc)
+
+
+@njit(forceinline=True, error_model="numpy")
 def _terminals(x, e, network):
-    """v_pcc and i_g with the states ``x`` under the source voltage ``e``."""
-    v, i = network.v_source * e, network.i_source * e
+    """v_pcc, i_g and the shunt branch's voltage with the states ``x`` under the source voltage ``e``."""
+    v, i, v_f = network.v_source * e, network.i_source * e, network.f_source * e
     for k in range(3):
         v += network.v_states[k] * x[k]
         i += network.i_states[k] * x[k]
-    return v, i
+        v_f += network.f_states[k] * x[k]
+    return v, i, v_f
 
 
 @njit(forceinline=True, error_model="numpy")
 def _observe(x, e, energy, network, skew, store, quantities):
     """What is measured with the states ``x`` under the source voltage ``e``, into ``quantities``; v_pcc and i_g."""
-    v, i = _terminals(x, e, network)
+    v, i, v_f = _terminals(x, e, network)
     if skew is not None:
-        v_more, i_more = _terminals(x, e, skew.network)
+        v_more, i_more, v_f_more = _terminals(x, e, skew.network)
         v += skew.turn * v_more.conjugate()
         i += skew.turn * i_more.conjugate()
+        v_f += skew.turn * v_f_more.conjugate()
     power = 1.5 * v * i.conjugate()
     quantities[V_RE], quantities[V_IM] = v.real, v.imag
+    quantities[V_F_RE], quantities[V_F_IM] = v_f.real, v_f.imag
     quantities[I_L_RE], quantities[I_L_IM] = x[I_L].real, x[I_L].imag
     quantities[I_G_RE], quantities[I_G_IM] = i.real, i.imag
-    quantities[V_DC] = math.sqrt(2.0 * energy / store.c_dc_f)
+    v_dc = math.sqrt(2.0 * energy / store.c_dc_f)
+    quantities[V_DC], quantities[I_DC] = v_dc, _power_in(v_dc, store) / v_dc
     quantities[P_PCC], quantities[Q_PCC] = power.real, power.imag
     return v, i
 
 
 @njit(forceinline=True, error_model="numpy")
-def _at_port(port, x, v, i):
-    """What the controller is told instead of ``v``; the band pass moves on by a sample (states x[4], x[5])."""
+def _at_port(port, x, i, quantities):
+    """The controller is told other voltages; the band pass moves on by a sample (states x[4], x[5])."""
     passed = port.gain * i + x[4]
     x[4] = x[5] - port.a_1 * passed
     x[5] = -port.gain * i - port.a_2 * passed
-    return v - complex(port.r_ohm, port.x_ohm) * (i - passed)
+    less = complex(port.r_ohm, port.x_ohm) * (i - passed)
+    quantities[V_RE] -= less.real
+    quantities[V_IM] -= less.imag
+    quantities[V_F_RE] -= less.real
+    quantities[V_F_IM] -= less.imag
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -296,7 +333,7 @@ def _voltage(command, x, v_dc, modulated, store):
     u = command
     if modulated:
         taken = 0.75 * v_dc * (u * x[I_L].conjugate()).real  # power at the start of the step
-        u *= 0.5 * (v_dc + 0.5 * store.dt_s * (store.power_w - taken) / (store.c_dc_f * v_dc))
+        u *= 0.5 * (v_dc + 0.5 * store.dt_s * (_power_in(v_dc, store) - taken) / (store.c_dc_f * v_dc))
     size, limit = abs(u), v_dc / math.sqrt(3.0)
     return u * (limit / size) if size > limit else u
 
@@ -335,7 +372,8 @@ def _move(x, energy, u, source, network, skew, store):
     x[0], x[1], x[2] = x_0, x_1, x_2
     for tone in range(len(phasors)):
         phasors[tone] *= source.rotations[tone]
-    return energy + store.dt_s * store.power_w - 1.5 * (u * charge.conjugate()).real
+    power_in = _power_in(math.sqrt(2.0 * energy / store.c_dc_f), store)
+    return energy + store.dt_s * power_in - 1.5 * (u * charge.conjugate()).real
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -345,8 +383,7 @@ def _step(box, source, network, skew, store, step, quantities, x, energy):
     for tone in range(len(source.phasors)):
         e += source.phasors[tone]
     v, i = _observe(x, e, energy, network, skew, store, quantities)
-    told = _at_port(box.port, x, v, i)
-    quantities[V_RE], quantities[V_IM] = told.real, told.imag
+    _at_port(box.port, x, i, quantities)
     box.time[0] = step * store.dt_s
     quantities[TIME] = box.time[0]
     _inform(box, quantities)
@@ -358,6 +395,8 @@ def _step(box, source, network, skew, store, step, quantities, x, energy):
     if store.delay:
         command, x[3] = x[3], command
     u = _voltage(command, x, quantities[V_DC], box.wiring.modulated, store)
+    if not _switches(box):  # the choke sees no voltage: its current dies away in its resistance
+        u = complex(quantities[V_F_RE], quantities[V_F_IM])
     energy = _move(x, energy, u, source, network, skew, store)
     return v, i, energy, DONE if energy > 0.0 else EMPTY
 
