@@ -209,11 +209,11 @@ class StepPlant:
         """Impedance of the stepped grid at f1 (ohm)."""
         return self._grid_impedance(source, self.f1_hz)
 
-    def fundamental(self, state: StepState) -> tuple[complex, complex]:
-        """Phasors of v (V) and i (A) over the next period."""
+    def fundamental(self, state: StepState) -> tuple[StepState, complex, complex]:
+        """The state, and phasors of v (V) and i (A) over the period that follows it."""
         ((_, record),) = self.run([Job(state, None)], self._clock.period_steps)
         turns = np.exp(-2j * pi * self.f1_hz * record.time_s)
-        return complex(np.mean(record.v * turns)), complex(np.mean(record.i * turns))
+        return state, complex(np.mean(record.v * turns)), complex(np.mean(record.i * turns))
 
     def _grid_impedance(self, source: Source, f_hz: float) -> complex:
         """R + L (2j/h) tan(w h/2): the grid as the trapezoidal rule steps it (ohm)."""

@@ -104,7 +104,7 @@ class Output(NamedTuple):
 
 
 class Map(NamedTuple):
-    """A checked signal map; ``modulated`` as in the kernel's `Wiring`, ``gate`` the port that blocks the bridge at 0."""
+    """A checked signal map; ``modulated`` as in the kernel's `Wiring`, ``gate`` what blocks the bridge at 0."""
 
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]

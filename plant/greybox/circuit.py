@@ -38,7 +38,7 @@ def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0)
     from ..kernels.grey import Network
 
     a, converter, _ = _dynamics(p, source, g_s)
-    moved = _over_a_step(a, converter, 0.0, dt_s).real
+    moved = over_a_step(a, converter, 0.0, dt_s).real
     if source.kind == "ideal":
         v_pcc, i_g = np.zeros(3), np.array([1.0, 1.0 / p.r_f_ohm, 0.0])
         return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 1.0, -1.0 / p.r_f_ohm, v_pcc, 1.0)
@@ -51,7 +51,7 @@ def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0)
 def forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float, g_s: float = 0.0) -> np.ndarray:
     """What one volt of the source at a signed frequency adds over a step to i_L, v_C, i_g and the integral of i_L."""
     a, _, driven = _dynamics(p, source, g_s)
-    return _over_a_step(a, driven, 2j * pi * f_hz, dt_s)[:, 4].copy()
+    return over_a_step(a, driven, 2j * pi * f_hz, dt_s)[:, 4].copy()
 
 
 def faulted(
@@ -112,7 +112,7 @@ def _dynamics(p: TurbineParameters, source: Source, g_s: float) -> tuple[np.ndar
     return a, np.array([1.0 / l_c, 0.0, 0.0]), np.array([0.0, 0.0, -1.0 / l_g])
 
 
-def _over_a_step(a: np.ndarray, column: np.ndarray, s: complex, dt_s: float) -> np.ndarray:
+def over_a_step(a: np.ndarray, column: np.ndarray, s: complex, dt_s: float) -> np.ndarray:
     """exp of (states, integral of i_L, an input that goes as exp(s t)) over a step: its first four rows."""
     from scipy.linalg import expm
 

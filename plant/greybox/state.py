@@ -41,6 +41,8 @@ class GreyState:
         References of the operating point: P_machine (W) and |v_pcc| (V, line-to-line RMS).
     sight : Sight or None
         How v_pcc was last seen from the source; None where nobody has been watching.
+    reactive_var : float
+        Reference of reactive power (var).
     """
 
     step: int
@@ -53,3 +55,4 @@ class GreyState:
     power_w: float
     voltage_v: float
     sight: Sight | None = None
+    reactive_var: float = 0.0

@@ -100,13 +100,16 @@ class SampledTurbine:
         self.parameters, self.dt_s = parameters, dt_s
         self.f1_hz = parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(parameters.u_rated_v, parameters.s_rated_va)
-        low, high = VOLTAGE_PU
-        self.operating_range = OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
+        self.operating_range = self._limits()
         self._delay, self._patience = delay, patience
         self.compensation = block
         self._port = port_of(block, parameters.w1_rad_s, dt_s)
         self.controller = open_controller()
         self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
+
+    def _limits(self) -> OperatingRange:
+        low, high = VOLTAGE_PU
+        return OperatingRange(POWER_W, (low * self.rating.voltage_v, high * self.rating.voltage_v))
 
     # ------------------------------------------------------------------ steady state
 
@@ -203,7 +206,7 @@ class SampledTurbine:
 
     def _terminals(self, state: GreyState) -> tuple[complex, complex]:
         """v_pcc and i_g."""
-        network = cached_network(self.parameters, state.source, self.dt_s)
+        network = self._network(state.source)
         e = state.v_source * turns(self.f1_hz * state.step * self.dt_s)
         v, i_g = network.v_states @ state.x[:3], network.i_states @ state.x[:3]
         return complex(v + network.v_source * e), complex(i_g + network.i_source * e)
@@ -441,7 +444,14 @@ class SampledTurbine:
         quantities = np.zeros(kernel.N_QUANTITIES)
         quantities[kernel.P_REF], quantities[kernel.V_REF], quantities[kernel.ONE] = state.power_w, state.voltage_v, 1.0
         store = self._store(state)
-        return cached_network(self.parameters, state.source, self.dt_s), store, quantities
+        quantities[kernel.Q_REF] = state.reactive_var
+        return self._network(state.source), store, quantities
+
+    def _network(self, source: Source) -> Any:
+        return cached_network(self.parameters, source, self.dt_s)
+
+    def _forcing(self, source: Source, f_hz: float) -> np.ndarray:
+        return cached_forcing(self.parameters, source, f_hz, self.dt_s)
 
     def _store(self, state: GreyState) -> Any:
         """DC link and rhythm, as the kernel takes them."""
@@ -462,7 +472,7 @@ class SampledTurbine:
         return kernel.Tones(
             np.array([amplitude * turns(f_hz * first_s) for f_hz, amplitude in tones]),
             np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
-            np.array([cached_forcing(self.parameters, source, f_hz, self.dt_s) for f_hz, _ in tones]),
+            np.array([self._forcing(source, f_hz) for f_hz, _ in tones]),
         )
 
     def _silent_port(self) -> str:

@@ -110,6 +110,7 @@ class GreyTurbine:
 
     id = SampledTurbine.id
     power_meaning = SampledTurbine.power_meaning
+    _core_class: type[SampledTurbine] = SampledTurbine
 
     def __init__(
         self,
@@ -142,10 +143,10 @@ class GreyTurbine:
             weakref.finalize(self, shutil.rmtree, offer.folder, ignore_errors=True)
         self._offer = offer
         self._build = partial(
-            SampledTurbine,
+            self._core_class,
             inputs=dict(inputs),
             outputs=dict(outputs),
-            parameters=_circuit(parameters),
+            parameters=self._circuit(parameters),
             dt_s=offer.sample_time_s,
             delay=delay_samples,
             patience=Patience(*_positive(settle_tolerance=settle_tolerance, patience_s=patience_s)),
@@ -164,6 +165,11 @@ class GreyTurbine:
         self.compensation = core.compensation
         self._settled: dict[tuple[OperatingPoint, Source], Any] = {}
         self._at_rest: dict[tuple[OperatingPoint, Source], Any] = {}
+
+    @staticmethod
+    def _circuit(parameters: Mapping[str, Any]) -> Any:
+        """The circuit with these parameters, each checked."""
+        return _circuit(parameters)
 
     def settle(self, operating_point: OperatingPoint, source: Source) -> Any:
         """The periodic steady state, reached by running; certified by the change over its last periods.

@@ -39,8 +39,11 @@ class Waiting(Protocol[S]):
         """Until a period repeats; `NotSettled` where none does."""
         ...
 
-    def fundamental(self, state: S) -> tuple[complex, complex]:
-        """Phasors of v_pcc (V) and i (A, load direction), phase peak at time zero."""
+    def fundamental(self, state: S) -> tuple[S, complex, complex]:
+        """Phasors of v_pcc (V) and i (A, load direction), phase peak at time zero, and the state to go on from.
+
+        A device that cannot go back is a period further on by then.
+        """
         ...
 
     def put_behind(self, state: S, source: Source, v_source: complex) -> S:
@@ -91,7 +94,10 @@ def _first_voltage(device: Waiting[Any], point: OperatingPoint, source: Source) 
 
 def _stepped(device: Waiting[Any], state: Any, source: Source, point: OperatingPoint) -> Any:
     """Behind the next grid of a walk, at rest again."""
-    size = _first_voltage(device, point, source) if source.voltage_v is not None else _as_it_is(device, state, source)
+    if source.voltage_v is not None:
+        size = _first_voltage(device, point, source)
+    else:
+        state, size = _as_it_is(device, state, source)
     try:
         return device.onwards(device.put_behind(state, source, size))
     except NotSettled as refusal:
@@ -102,10 +108,10 @@ def _stepped(device: Waiting[Any], state: Any, source: Source, point: OperatingP
         ) from None
 
 
-def _as_it_is(device: Waiting[Any], state: Any, source: Source) -> complex:
+def _as_it_is(device: Waiting[Any], state: Any, source: Source) -> tuple[Any, complex]:
     """Source voltage, at the source's own angle, that leaves |v_pcc| about where it is."""
-    v, i = device.fundamental(state)
-    return abs(v + device.grid_impedance(source) * i) * cmath.exp(1j * source.angle_rad)
+    state, v, i = device.fundamental(state)
+    return state, abs(v + device.grid_impedance(source) * i) * cmath.exp(1j * source.angle_rad)
 
 
 def _held(device: Waiting[Any], state: Any, source: Source, point: OperatingPoint) -> Any:
@@ -119,7 +125,8 @@ def _held(device: Waiting[Any], state: Any, source: Source, point: OperatingPoin
     wanted = abs(phase_peak(point.terminal_voltage_v))
     v_source, slope, step, before = state.v_source, 1.0, 0.0, None
     for _ in range(MOST_TRIALS):
-        excess = abs(device.fundamental(state)[0]) / wanted - 1.0
+        state, v, _ = device.fundamental(state)
+        excess = abs(v) / wanted - 1.0
         if abs(excess) <= VOLTAGE_REACHED:
             return state
         if before is not None and (excess - before) * step > 0.0:

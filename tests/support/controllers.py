@@ -109,3 +109,61 @@ def _variables(third: bool, switches: tuple[str, ...]) -> list[Variable]:
         Variable("Delay", 29, "parameter", "fixed", initial="exact", kind="whole"),
         Variable("FaultTime", 30, "parameter", "fixed", 1e30, "exact"),
     ]
+
+
+def build_inverter(*switches: str) -> Path:
+    """The controls of `boxes/inverter_controller.c` as a library: following, FORMING or BATTERY; once a test run."""
+    return _compiled(SOURCE.with_name("inverter_controller.c"), "inverter", *switches)
+
+
+FOLLOWING_MAP = {
+    "inputs": {
+        **{f"Vt{phase}": f"v_f_{phase}" for phase in "abc"},
+        **{f"I1{phase}": f"i_l_{phase}" for phase in "abc"},
+        **{f"I2{phase}": f"i_g_{phase}" for phase in "abc"},
+        "Idc": "i_dc",
+        "VdcMPPT": 1.2,
+        "Pref": {"signal": "p_ref", "base": 1e6},
+        "Qref": {"signal": "q_ref", "base": 1e6},
+        "Vdc_meas": "v_dc",
+        "Vref": {"signal": "v_ref", "base": 600.0},
+    },
+    "outputs": {f"m_{phase}": f"m_conv_{phase}" for phase in "abc"},
+}
+FORMING_MAP = {
+    "inputs": {
+        **{f"V{phase}": f"v_f_{phase}" for phase in "abc"},
+        **{f"I{phase}": f"i_g_{phase}" for phase in "abc"},
+        **{f"I{phase}L1": f"i_l_{phase}" for phase in "abc"},
+        "Pref": "p_ref",
+        "Qref": "q_ref",
+        "Vref": {"signal": "v_ref", "base": 600.0},
+    },
+    "outputs": {f"E{phase}": f"v_conv_{phase}" for phase in "abc"},
+}
+BATTERY_MAP = {
+    "inputs": {
+        "v_ac": "v_f_abc",
+        "i_L": "i_l_abc",
+        "v_dc": "v_dc",
+        "enable": 1,
+        "P_request": "p_ref",
+        "Q_request": "q_ref",
+        "P_lim_high": 1.2e6,
+        "P_lim_low": -1.2e6,
+    },
+    "outputs": {"v_bridge": "v_conv_abc", "pwm_enable": "gate"},
+}
+INVERTER_CIRCUIT = {
+    "u_rated_v": 600.0,
+    "s_rated_va": 1e6,
+    "f1_hz": 60.0,
+    "l_f_h": 1e-4,
+    "r_f_ohm": 1.7e-3,
+    "c_f_f": 3e-4,
+    "r_c_ohm": 0.03,
+    "l_g_h": 5e-5,
+    "r_g_ohm": 2e-3,
+    "c_dc_f": 1e9,
+    "v_dc_ref_v": 1200.0,
+}
