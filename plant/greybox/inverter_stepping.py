@@ -1,8 +1,8 @@
 """A controller in the general inverter circuit, stepped: `SampledTurbine` with another circuit and operating point.
 
 The operating point is P, Q and |v_pcc|, and so are the references that a controller may be told (``p_ref``, ``q_ref``,
-``v_ref``). A controller that holds something else settles where it holds it; the table keeps the measured P, Q and |v|. Behind a
-grid it is started there, or walked there from ``settle_on``; it never stands on an ideal source.
+``v_ref``). A controller that holds something else settles where it holds it; the table keeps the measured P, Q and |v|.
+Behind a grid it is started there, or walked there from ``settle_on``; it never stands on an ideal source.
 """
 
 from __future__ import annotations

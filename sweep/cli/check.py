@@ -109,7 +109,18 @@ def inspect(path: Path) -> str:
 
 def _introduction(path: Path) -> str:
     """What a real-code controller says of itself, asked in a process of its own: it is loaded, but not stepped."""
-    command = [sys.executable, "-m", "seqsweep.plant.controllers.cigre_abi", str(path)]
+    return asked(path, "seqsweep.plant.controllers.cigre_abi")
+
+
+def asked(path: Path, module: str) -> str:
+    """What ``module`` prints of a library, in a process of its own that may die of it.
+
+    Raises
+    ------
+    InspectionError
+        If it dies, takes too long or refuses.
+    """
+    command = [sys.executable, "-m", module, str(path)]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=INTRODUCTION_S)
     except subprocess.TimeoutExpired:

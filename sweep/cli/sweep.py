@@ -34,15 +34,37 @@ if TYPE_CHECKING:
 
 def init(
     output: Annotated[Path, typer.Option("-o", "--output", help="Where to write it.")] = Path("campaign.toml"),
+    plant: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A real-code controller (.so, .dll): its ports, units and parameters."),
+    ] = None,
 ) -> None:
-    """Write a commented campaign for the reference turbine."""
+    """Write a commented campaign for the reference turbine, or one around a real-code controller."""
     from importlib.resources import files
 
     if output.exists():
         raise WrongInput(f"{output} exists; choose another name with -o")
     check_folder(output)
-    output.write_text(files("seqsweep.sweep.config").joinpath("template.toml").read_text("utf-8"), "utf-8")
+    if plant is None:
+        text = files("seqsweep.sweep.config").joinpath("template.toml").read_text("utf-8")
+    else:
+        text = _drafted(plant)
+    output.write_text(text, "utf-8")
     typer.echo(f"{output} written; next: seqsweep run {output} -o y.parquet")
+
+
+def _drafted(library: Path) -> str:
+    """A campaign around a real-code controller, with what it says of itself filled in."""
+    from .check import asked
+
+    if library.suffix.lower() not in (".so", ".dll", ".dylib"):
+        raise WrongInput(
+            f"--plant {library}: needed is a real-code controller of CIGRE TB 958 (.so, .dll, .dylib); seqsweep check "
+            "says what other files are"
+        )
+    if not library.is_file():
+        raise WrongInput(f"--plant {library}: no such file")
+    return asked(library, "seqsweep.plant.controllers.draft") + "\n"
 
 
 def plan(campaign: CampaignFile, settings: Settings = None, jobs: int = os.cpu_count() or 1) -> None:
