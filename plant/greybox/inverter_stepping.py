@@ -16,11 +16,13 @@ import numpy as np
 
 from ..errors import SeqsweepError
 from ..protocol import Conditions, Job, NotSettled, OperatingPoint, OperatingRange, Source, Trace
+from ..space_vectors import PHASE_PEAK
 from ..states.behind_grid import settled_behind
 from ..states.steady_state import voltage_asked
 from . import circuit, inverter_circuit
 from .inverter_circuit import InverterCircuit
-from .stepping import _PHASE_PEAK, GreyState, SampledTurbine
+from .state import GreyState
+from .stepping import SampledTurbine
 
 VOLTAGE_PU = (0.7, 1.3)
 
@@ -55,7 +57,7 @@ class SampledInverter(SampledTurbine):
         if source.kind == "thevenin":
             state: GreyState = settled_behind(self, operating_point, source)
         else:
-            v_source = _PHASE_PEAK * voltage_v * cmath.exp(1j * source.angle_rad)
+            v_source = PHASE_PEAK * voltage_v * cmath.exp(1j * source.angle_rad)
             state = self.onwards(self.begun(operating_point, source, v_source))
         self._refuse_blocked()
         return state
@@ -71,7 +73,7 @@ class SampledInverter(SampledTurbine):
         power = complex(point.active_power_w, point.reactive_power_var)
         rest = inverter_circuit.at_rest(self.parameters, power, voltage_v)
         behind = rest.v_pcc - circuit.impedance(source, self.f1_hz) * rest.i_g
-        turn = _PHASE_PEAK * cmath.exp(1j * (cmath.phase(v_source) - cmath.phase(behind)))
+        turn = PHASE_PEAK * cmath.exp(1j * (cmath.phase(v_source) - cmath.phase(behind)))
         command, i_g = rest.v_conv * turn, rest.i_g * turn
         x = np.array([rest.i_l * turn, rest.v_c * turn, i_g, command, *self._port_at_rest(i_g)])
         energy = 0.5 * self.parameters.c_dc_f * self.parameters.v_dc_ref_v**2
