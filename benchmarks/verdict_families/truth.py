@@ -107,16 +107,14 @@ def covers(unit: Unit, grid: tuple[float, float], nu_hz: np.ndarray, modes: np.n
     """Whether the rows cover what stability asks.
 
     Rows are needed wherever the device is active with a loop gain above `QUIET`, and, up to the last such frequency,
-    wherever the loop gain is above `LOUD`. Neighbouring |f - f1| there may be apart by a ratio of 1.3, or by the half
-    width of the modes between them (the distance of the nearest pole from the middle of the gap, as |s - p|/2 pi).
-    Below the lowest |f - f1| no mode may be narrower than that.
+    wherever the loop gain is above `LOUD` (up to the last row where the device is passive). Neighbouring |f - f1| there
+    may be apart by a ratio of 1.3, or by the half width of the modes between them (the distance of the nearest pole
+    from the middle of the gap, as |s - p|/2 pi). Below the lowest |f - f1| no mode may be narrower than that.
     """
     nu = np.geomspace(0.02, 8000.0, 400)
     active, gain = _active_and_gain(unit, grid, nu)
     decisive = np.flatnonzero(active & (gain > QUIET))
-    if not len(decisive):
-        return True
-    end = nu[decisive[-1]]
+    end = nu[decisive[-1]] if len(decisive) else nu_hz[-1]
     if end > nu_hz[-1]:
         return False
     needed = nu[((active & (gain > QUIET)) | (gain > LOUD)) & (nu <= end)]

@@ -16,7 +16,6 @@ from .least_squares import (
     datum_variance,
     floor_cost,
     inverse_r,
-    inverted,
     projected_jacobian,
     refine,
     solve_residues,
@@ -28,6 +27,7 @@ from .residue_ranks import cut_ranks, truncated, uncut
 from .vector_fit import vector_fit
 
 _ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
+_RUNS_APART = 10.0  # by so many times their distance two poles may err apart from each other
 _FEIGNED = 18.0  # chi-squared that a pair of poles sought over the band gains from noise alone, on average
 _VISIBLE = 1e-3  # a doubt that does not show in the digits that are printed is not printed
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
@@ -127,7 +127,7 @@ def _covariance_root(problem: Problem, trial: Trial, linear: Linear) -> np.ndarr
     """
     jacobian, inside = projected_jacobian(problem, trial, linear)
     m, c = jacobian.shape[1], linear.r.shape[1]
-    poles, u = inverted(jacobian)
+    poles, u = _held_inverse(problem, trial, linear, jacobian)
     r_inverse = inverse_r(linear)
     root = np.zeros((m + ELEMENTS * c,) * 2)
     root[:m, :m] = poles
@@ -135,6 +135,25 @@ def _covariance_root(problem: Problem, trial: Trial, linear: Linear) -> np.ndarr
     root[m:, m:] = block_diagonal(r_inverse)
     directions = np.concatenate([u.reshape(*linear.misfit.shape, m), _block_columns(linear.q)], axis=2)
     return root @ _noise_root(problem, linear, directions)
+
+
+def _held_inverse(
+    problem: Problem, trial: Trial, linear: Linear, jacobian: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`inverted`, but no pole errs by more than it is away from zero, or ten times from its nearest neighbour.
+
+    Two poles that nearly coincide leave a direction in which both may run apart without moving Y. The linear errors
+    of that direction are without bounds and cancel in Y as long as nothing rounds them, which cutting ranks does. A
+    prior of that width for each pole leaves every direction as it is that the data know better.
+    """
+    n_real, _ = counts_upper(trial.poles)
+    everyone = np.concatenate([trial.poles, trial.poles[n_real:].conj()])
+    gap = np.abs(trial.poles[:, None] - everyone)
+    gap[np.arange(len(gap)), np.arange(len(gap))] = np.inf
+    reach = np.minimum(np.abs(trial.poles), _RUNS_APART * gap.min(axis=1, initial=np.inf))
+    reach = np.concatenate([reach, reach[n_real:]]) / np.sqrt(datum_variance(problem, trial, linear))
+    u, singular, vh = np.linalg.svd(jacobian * reach, full_matrices=False)
+    return reach[:, None] * vh.T * (singular / (singular**2 + 1.0)), u
 
 
 def _noise_root(problem: Problem, linear: Linear, directions: np.ndarray) -> np.ndarray:

@@ -378,10 +378,18 @@ def test_interval_near_a_fold_has_no_upper_end() -> None:
 
 
 def test_interval_at_rest_is_that_of_a_real_number() -> None:
-    """At f1 itself (0 Hz, dq) q is real whatever is drawn: of q = -exp(a normal x) the quantiles are known."""
+    """At f1 itself (0 Hz, dq) q is real whatever is drawn: of q = -exp(a normal x) the quantiles are known.
+
+    A quantile of 400 draws scatters by 7 %; three tables make it 4 %.
+    """
     at = device()
     assert at is not None
-    model = fit_response(table(at.y, 1e-2, np.random.default_rng(1)))
+    found = [_ends_at_rest(at, seed) for seed in (1, 2, 3)]
+    assert np.mean(found, axis=0) == pytest.approx([-1.96, 1.96], rel=0.15)
+
+
+def _ends_at_rest(at: Device, seed: int) -> np.ndarray:
+    model = fit_response(table(at.y, 1e-2, np.random.default_rng(seed)))
     weight = np.array([[1.0, 0.0], [0.0, 0.0]])
     noise = float(np.linalg.norm(spread(model, np.zeros(1, dtype=complex), weight[None]).real))
 
@@ -389,9 +397,9 @@ def test_interval_at_rest_is_that_of_a_real_number() -> None:
         moved = y_dq - evaluate(model, 2j * np.pi * nu_hz)
         return -np.exp(moved[:, 0, 0].real / noise) + 0j
 
-    found = interval_at(model, gain, 0.0, weight / noise)
-    assert found.high is not None
-    assert np.log([found.low, found.high]) == pytest.approx([-1.96, 1.96], rel=0.15)
+    interval = interval_at(model, gain, 0.0, weight / noise)
+    assert interval.high is not None
+    return np.log([interval.low, interval.high])
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-6, 1e-5, 1e-4])
