@@ -153,7 +153,7 @@ def judged(
         If a phase is dead, or no single mistake explains what the channels show, or several do.
     """
     probes = [_valid(recording, vector, notes) for vector in (voltage, current)]
-    f1_hz = _fundamental_hz(voltage.of(probes[0]), recording.dt_s)
+    f1_hz = fundamental_hz(voltage.of(probes[0]), recording.dt_s)
     phasors = [_phasors(x, f1_hz, recording.dt_s) for x in probes]
     ways = [_ways(recording, vector, x) for vector, x in zip((voltage, current), phasors, strict=True)]
     chosen = _chosen(recording, ways[0], ways[1], phasors)
@@ -186,7 +186,7 @@ def _valid(recording: Recording, vector: SpaceVector, notes: list[str]) -> np.nd
     return x
 
 
-def _fundamental_hz(x: np.ndarray, dt_s: float) -> float:
+def fundamental_hz(x: np.ndarray, dt_s: float) -> float:
     """Frequency of the strongest line of a space vector, whichever way it turns (Hz)."""
     f_hz = np.fft.fftfreq(len(x), dt_s)
     size = np.abs(np.fft.fft((x - np.mean(x)) * np.hanning(len(x))))

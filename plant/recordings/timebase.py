@@ -25,6 +25,9 @@ _TIME = re.compile(
 )
 """Names of a column of time, without what stands before the last colon, point or stroke."""
 
+ROUNDED = "times are rounded"
+"""How the note on times that are not quite uniform begins; `uneven` then asks the samples whether that is all."""
+
 LOOSE = 0.75
 """Largest distance of a time from its place on the uniform scale, in steps: printed times are rounded."""
 
@@ -99,6 +102,6 @@ def _judge(path: Path, base: TimeBase, shortest: float, longest: float, longest_
             "s): there is a gap, or the simulation chose its own steps; save at a fixed step, without gaps"
         )
     if longest - shortest > 1e-3 * step:
-        note = f"times are rounded (steps of {shortest:.6g} to {longest:.6g} s): taken as uniform, {1 / step:.9g} Hz"
+        note = f"{ROUNDED} (steps of {shortest:.6g} to {longest:.6g} s): taken as uniform, {1 / step:.9g} Hz"
         return base._replace(notes=(note,))
     return base

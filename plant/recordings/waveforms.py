@@ -12,6 +12,7 @@ from ..protocol import Record, SourceDirection
 from .apart import read_recording_apart
 from .channels import Assignment, assign, in_words
 from .recording import BLOCK, Recording, RecordingError
+from .uneven import check_even
 
 CLIPPED_CYCLE = 0.02
 """A channel that rests at its largest value for this part of a 50 Hz cycle is clipped."""
@@ -92,6 +93,7 @@ def open_waveforms(
         assignment = assign(recording, channels, base, units)
     except RecordingError as error:
         raise RecordingError("; ".join([str(error), *recording.hints])) from None
+    check_even(recording, assignment.voltage)
     return Waveforms(recording, assignment, direction)
 
 

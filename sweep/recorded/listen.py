@@ -37,9 +37,6 @@ MOST_OF = 0.9
 CLOCK_CYCLES = 0.01
 """Cycles by which a tone may slip over its window before the clocks are worth a word."""
 
-IDLE = 0.05
-"""Active power below this part of the apparent one has no direction to speak of."""
-
 NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
 NEAR_NOMINAL = 0.04
 """A fundamental farther than this from every nominal one means a wrong sampling rate, most likely."""
@@ -286,20 +283,15 @@ def _found(waveforms: Waveforms) -> tuple[list[Stretch], list[str]]:
 
 
 def _facts(waveforms: Waveforms, seen: Sequence[Fundamental]) -> list[str]:
-    """What the fundamental is, and where the file's own word, or the direction that was named, and the data differ."""
-    voltage_v, power_w, reactive_var, apparent_va = (
+    """What the fundamental is, and where the file's own word and the data differ."""
+    voltage_v, power_w, reactive_var = (
         float(np.median([getattr(each, name) for each in seen]))
-        for name in ("line_voltage_v", "power_w", "reactive_var", "apparent_va")
+        for name in ("line_voltage_v", "power_w", "reactive_var")
     )
     notes = [
         f"fundamental: {seen[0].f1_hz:.6g} Hz, {engineering(voltage_v, 'V')} line to line, "
         f"{_flow(power_w, 'W')}, {_flow(reactive_var, 'var')}"
     ]
-    if waveforms.direction == "generator" and power_w < -IDLE * apparent_va:
-        notes.append(
-            f"P = {engineering(power_w, 'W')} of a current in generator direction: the device consumes; if it is a "
-            "generator, the current was recorded in load direction (--direction load)"
-        )
     return notes + _lies(waveforms, seen)
 
 

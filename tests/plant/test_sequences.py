@@ -7,6 +7,7 @@ import pytest
 
 from seqsweep.plant.recordings.channels import assign, parse_channels
 from seqsweep.plant.recordings.recording import Channel, Recording, RecordingError
+from seqsweep.plant.recordings.waveforms import open_waveforms
 
 N, DT = 4000, 5e-4
 T = DT * np.arange(N)
@@ -158,3 +159,28 @@ def test_roles_of_line_voltages_may_be_named_in_either_direction():
     v, i = healthy(np.random.default_rng(1))
     with pytest.raises(RecordingError, match="channels va, vbc make no voltage: give va, vb, vc, or two of them"):
         vectors(np.hstack([v, i]), NAMES["v"] + NAMES["i"], va="Va", vbc="Vb")
+
+
+def sampled_at(t_s, rng=None):
+    """Three phases of v and i at instants of our choice."""
+    turn = np.exp(-2j * np.pi / 3.0 * np.arange(3))
+    v, i = (
+        np.real(size * np.exp(1j * (2 * np.pi * 50.0 * t_s[:, None] + angle)) * turn)
+        for size, angle in ((326.0, 0.0), (40.0, -0.3))
+    )
+    samples = np.hstack([v, i])
+    return samples if rng is None else samples + rng.normal(size=samples.shape) * 1e-3
+
+
+@pytest.mark.parametrize("steps_us", [(200, 300), (250, 250, 300, 200), (240, 260)])
+def test_steps_that_really_alternate_are_refused_and_rounded_times_of_even_samples_are_not(tmp_path, steps_us):
+    steps_s = 1e-6 * np.resize(steps_us, 8000)
+    uneven = np.concatenate([[0.0], np.cumsum(steps_s)])
+    even = np.linspace(0.0, uneven[-1], len(uneven))
+    heads = "time," + ",".join(f"{name} [{'V' if name[0] == 'V' else 'A'}]" for name in NAMES["v"] + NAMES["i"])
+    for name, instants in (("even", even), ("uneven", uneven)):
+        rows = np.column_stack([uneven, sampled_at(instants, np.random.default_rng(0))])
+        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header=heads, comments="", fmt="%.6f")
+    assert "times are rounded" in "".join(open_waveforms(tmp_path / "even.csv", "load").notes())
+    with pytest.raises(RecordingError, match=r"uneven.csv: the steps of time vary in a pattern of \d samples"):
+        open_waveforms(tmp_path / "uneven.csv", "load")

@@ -24,6 +24,7 @@ from ..support import by_hand
 from ..support import recording_files as files
 from ..support.by_hand import Stretch
 from ..support.commands import call
+from ..support.recorded_device import Device, joined, tones
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -351,3 +352,70 @@ def test_the_same_data_give_the_same_admittance_as_the_sweep():
         difference = np.linalg.norm(point.y.ravel() - swept) / np.linalg.norm(swept)
         print(f"{point.f_hz:g} Hz: recording and sweep differ by {difference:.1e}")
         assert difference < 1e-8
+
+
+# Kinds of recordings that misled; `test_recorded_kinds` draws many of each
+
+
+def written(path, stretch):
+    """A stretch as COMTRADE in single precision."""
+    return files.comtrade(path, files.six(stretch), form="FLOAT32", rate_hz=1.0 / stretch.dt_s)
+
+
+def errors(response, device):
+    """Relative errors of all rows."""
+    truth = np.array([device.y(f) for f in response.f_hz])
+    return relative_norms(response.y - truth, truth)
+
+
+def test_five_tones_at_once_and_their_mirrors_in_another_file_are_all_found_without_a_manifest(tmp_path):
+    rng, device, at_once = np.random.default_rng(4), Device(), [17.0, 29.0, 41.0, 66.0, 128.0]
+    for name, played in (("a", at_once), ("b", [100.0 - f for f in at_once])):
+        lines = tones(rng, played, 1.6)(50.0)
+        parts = [device.stretch({}, 0.5, 2.5e-4), device.stretch(lines, 6.0, 2.5e-4, t0_s=0.5)]
+        written(tmp_path / name, joined(parts))
+    response, said = identified(tmp_path, tmp_path / "a.cfg", tmp_path / "b.cfg", "--direction", "load")
+    assert response.f_hz == pytest.approx([17, 29, 34, 41, 59, 66, 71, 83, 128], abs=1e-3)
+    assert errors(response, device).max() < 1e-4
+    assert "fundamental: 50 Hz, 400 V line to line, 18.72 kW into the device" in said
+
+
+def test_tones_of_two_seconds_one_after_another_are_found_and_what_is_not_used_is_named(tmp_path):
+    rng, device, parts = np.random.default_rng(4), Device(), []
+    always = {250.0: 4.0, 178.3: 3.0}
+    for at in (3.0, 97.0, 130.0, -30.0):
+        played = {**tones(rng, [at], 3.0)(50.0), **always}
+        parts.append(device.stretch(played, 2.0, 5e-4, t0_s=2.5 * len(parts) / 2, noise=1e-4, rng=rng))
+        parts.append(device.stretch(always, 0.5, 5e-4, t0_s=2.5 * (len(parts) // 2) + 2.0, noise=1e-4, rng=rng))
+    written(tmp_path / "long", joined(parts))
+    response, said = identified(tmp_path, tmp_path / "long.cfg", "--direction", "load")
+    assert response.f_hz == pytest.approx([3.0, 97.0, 130.0], abs=2e-3)
+    assert errors(response, device).max() < 2e-3
+    assert "not used: lines that are always there, at 178.3, 250 Hz" in said
+
+
+def test_a_tone_on_a_harmonic_of_the_lead_in_is_right_with_a_manifest(tmp_path):
+    rng, device, harmonic, told = np.random.default_rng(4), Device(), {250.0: 8.0 * np.exp(1j)}, []
+    for k, at in enumerate((250.0, -150.0)):
+        lines = tones(rng, [at], 5.0)(50.0)
+        both_lines = {f: lines.get(f, 0.0) + harmonic.get(f, 0.0) for f in {**lines, **harmonic}}
+        parts = [device.stretch(harmonic, 0.8, 5e-4), device.stretch(both_lines, 1.2, 5e-4, t0_s=0.8)]
+        written(tmp_path / f"shot_{k}", joined(parts))
+        shot = {"f_hz": 250.0, "injected_hz": at, "amplitude": 5.0, "phase_rad": 0.0}
+        told.append({"file": f"shot_{k}.csv", "shots": [shot], "start_s": 0.8, "settle_s": 0.1, "duration_s": 1.0})
+    path = manifest(tmp_path / "m.json", told, direction="load", f1_hz=50.0)
+    response, said = identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--manifest", path)
+    assert list(response.status) == ["ok"]
+    assert errors(response, device).max() < 1e-5
+    assert "was there before the tone" in said
+
+
+def test_a_reversed_current_transformer_is_named_and_the_admittance_right(tmp_path):
+    rng, device = np.random.default_rng(4), Device()
+    for name, at in (("a", 77.0), ("b", 23.0)):
+        samples = files.six(device.stretch(tones(rng, [at], 5.0)(50.0), 2.0, 5e-4))
+        samples[:, 4] *= -1.0
+        files.comtrade(tmp_path / name, samples, form="FLOAT32", rate_hz=2000.0)
+    response, said = identified(tmp_path, tmp_path / "a.cfg", tmp_path / "b.cfg", "--direction", "load")
+    assert errors(response, device).max() < 1e-5
+    assert "a.cfg: Ib is recorded with the opposite sign (a reversed transformer): turned" in said
