@@ -12,14 +12,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
 
-from ...plant.errors import SeqsweepError
+from ...plant.errors import SeqsweepError, closest
 from . import bank as cli_bank
+from . import compare as cli_compare
 from . import decide as cli_decide
 from . import farm as cli_farm
 from . import faults
@@ -38,6 +39,7 @@ app = typer.Typer(
     help="Sweep a converter nobody can look into: its 2x2 sequence admittance, as a table.",
     no_args_is_help=True,
     add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -59,6 +61,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "surrogate": cli_region.surrogate,
     "farm": cli_farm.farm,
     "report": cli_handover.report,
+    "compare": cli_compare.compare,
     "metrics": cli_metrics.metrics,
     "check": cli_sweep.check,
     "identify": cli_files.identify,
@@ -77,9 +80,14 @@ def _version(
     debug: Annotated[bool, typer.Option(faults.DEBUG, help="Print the details of a fault of the program.")] = False,
 ) -> None:
     if version:
+        import platform
         from importlib.metadata import version as version_of
 
-        typer.echo(version_of("seqsweep"))
+        from ...identify.table.format import VERSION as TABLE_FORMAT
+
+        typer.echo(
+            f"seqsweep {version_of('seqsweep')}, table format {TABLE_FORMAT}, Python {platform.python_version()}"
+        )
         raise typer.Exit
 
 
@@ -113,6 +121,8 @@ def _status() -> int:
         result = app(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
         error.show(file=sys.stderr)
+        if meant := _meant(arguments):
+            typer.echo(f"did you mean: seqsweep {meant}", err=True)
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
@@ -135,6 +145,34 @@ def _status() -> int:
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
         return _interrupted()
     return result if isinstance(result, int) else OK
+
+
+_SYNONYMS = {
+    "sweep": "run",
+    "scan": "run",
+    "start": "run",
+    "plot": "show",
+    "bode": "show",
+    "info": "show",
+    "diff": "compare",
+    "stability": "tune",
+    "judgement": "judge",
+    "simulate": "verify",
+    "convert": "export",
+    "read": "import",
+    "record": "identify",
+    "new": "init",
+    "create": "init",
+}
+"""What people type, and the command they mean."""
+
+
+def _meant(arguments: Sequence[str]) -> str | None:
+    """The command that an unknown first word stands for; None where it is known, or means nothing."""
+    word = next((argument for argument in arguments if not argument.startswith("-")), "")
+    if word in _COMMANDS:
+        return None
+    return _SYNONYMS.get(word.lower()) or closest(word, list(_COMMANDS))
 
 
 def _interrupted() -> int:

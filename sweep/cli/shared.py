@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from ..config.sections import Config
     from ..plan import Plan
 
-OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE, FAULT = range(6)
+OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE, FAULT, DIFFERENT = range(7)
 """Exit statuses: done; done, but some rows are not ok; the input is wrong; interrupted; the machine failed us;
-the program itself is at fault."""
+the program itself is at fault; `compare` finds two tables that differ."""
 
 CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign file.")]
 TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A table of this format.")]

@@ -1,0 +1,5 @@
+"""``python -m seqsweep`` is the command line."""
+
+from seqsweep.sweep.cli.main import console
+
+console()
