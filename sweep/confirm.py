@@ -2,7 +2,7 @@
 
 The formula of the paper (eq. 13) treats the whole device as seeing the reshaped voltage, and promises
 too much. Here every trial k is a real sweep of the campaign the table came from, with the damping
-parameters added to the plant's own; see `conventions`, Damping control.
+parameters added to the plant's own; see docs/damping.md.
 """
 
 from __future__ import annotations

@@ -365,4 +365,9 @@ def test_harmonics_and_noise_alone_are_no_tones():
 
 
 def test_the_record_says_where_it_comes_from():
-    assert isinstance(by_hand.Heard(branch((77.0,), length_s=0.1)).record(0, 10), Record)
+    heard = by_hand.Heard(branch((77.0,), length_s=0.1))
+    record = heard.record(7, 17)
+    assert isinstance(record, Record)
+    assert (record.t0_s, record.dt_s) == (heard.t0_s + 7 * heard.dt_s, heard.dt_s)
+    np.testing.assert_array_equal(record.v, heard.stretch.v[7:17])
+    np.testing.assert_array_equal(record.i, heard.stretch.i[7:17])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.format import TableError
@@ -232,8 +233,17 @@ def test_a_table_without_any_value_can_still_be_drawn(tmp_path: Path) -> None:
     y = np.full((40, 2, 2), complex(np.nan, np.nan))
     status, reason = np.full(40, "diverged"), np.full(40, "lost")
     nothing = FrequencyResponse(F_HZ, y, 50.0, status=status, reason=reason, meta={"op_id": "cost$x$"})
-    bode(nothing, tmp_path / "bode.png")
-    bode(FrequencyResponse([3.0], np.ones((1, 2, 2)), 50.0, meta={"op_id": "one"}), tmp_path / "bode.png")
+    assert bode(nothing, tmp_path / "nothing.png") == ("cost$x$",)
+    assert bode(FrequencyResponse([3.0], np.ones((1, 2, 2)), 50.0, meta={"op_id": "one"}), tmp_path / "one.png") == (
+        "one",
+    )
+    for name in ("nothing.png", "one.png"):
+        height, width, _ = imread(tmp_path / name).shape
+        assert width == pytest.approx(7.16 * 200, abs=2)
+        assert height == pytest.approx(7.0 * 200, abs=2)
+    magnitude = bode_figure([nothing]).axes[0]
+    ticks = next(line for line in magnitude.get_lines() if line.get_marker() == "|")
+    np.testing.assert_array_equal(ticks.get_xdata(), F_HZ)  # every row leaves its mark
 
 
 def test_a_phase_that_wraps_runs_to_the_edge_and_comes_in_on_the_other_side() -> None:
