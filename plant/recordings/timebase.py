@@ -32,6 +32,10 @@ LOOSE = 0.75
 """Largest distance of a time from its place on the uniform scale, in steps: printed times are rounded."""
 
 
+LOOKED_AT = 64
+"""Times of a block that are held against the uniform scale of them all."""
+
+
 class TimeBase(NamedTuple):
     """Time of the first sample and step (s), and what is to be said about them."""
 
@@ -73,6 +77,7 @@ def time_base(path: Path, blocks: Iterable[np.ndarray]) -> TimeBase:
     """
     first, last, n = np.nan, np.nan, 0
     shortest, longest, longest_at = np.inf, 0.0, np.nan
+    places: list[np.ndarray] = []
     for block in blocks:
         if not np.all(np.isfinite(block)):
             raise RecordingError(f"{path}: the time of sample {n + int(np.argmin(np.isfinite(block)))} is missing")
@@ -88,10 +93,30 @@ def time_base(path: Path, blocks: Iterable[np.ndarray]) -> TimeBase:
             shortest = min(shortest, float(np.min(steps)))
             if np.max(steps) > longest:
                 longest, longest_at = float(np.max(steps)), float(block[len(block) - len(steps) + np.argmax(steps)])
-        first, last, n = (float(block[0]) if n == 0 else first), float(block[-1]), n + len(block)
+        if len(block):
+            some = np.unique(np.linspace(0, len(block) - 1, LOOKED_AT).astype(int))
+            places.append(np.column_stack([n + some, block[some]]))
+            first, last, n = (float(block[0]) if n == 0 else first), float(block[-1]), n + len(block)
     if n < 2:
         raise RecordingError(f"{path}: {n} samples make no recording")
-    return _judge(path, TimeBase(first, (last - first) / (n - 1)), shortest, longest, longest_at)
+    base = _judge(path, TimeBase(first, (last - first) / (n - 1)), shortest, longest, longest_at)
+    if not base.notes:
+        return base
+    fitted = np.concatenate(places)
+    _refuse_drift(path, base, fitted, longest - shortest)
+    slope, start = np.polyfit(fitted[:, 0], fitted[:, 1], 1)  # the ends alone are rounded
+    return base._replace(t0_s=float(start), dt_s=float(slope))
+
+
+def _refuse_drift(path: Path, base: TimeBase, places: np.ndarray, rounding_s: float) -> None:
+    """Refuse steps that vary slowly: rounded times stay near the uniform scale, wherever one looks."""
+    away = np.abs(places[:, 1] - base.t0_s - base.dt_s * places[:, 0])
+    k = int(np.argmax(away))
+    if away[k] > 2.0 * rounding_s:
+        raise RecordingError(
+            f"{path}: the time of sample {places[k, 0]:.0f} is {away[k]:.4g} s away from where a fixed step of "
+            f"{base.dt_s:.6g} s puts it: the step changes; save at a fixed step, without gaps"
+        )
 
 
 def _judge(path: Path, base: TimeBase, shortest: float, longest: float, longest_at: float) -> TimeBase:

@@ -177,6 +177,32 @@ def test_a_written_name_is_taken_as_it_is_written(tmp_path):
     assert difference(path, channels=roles) < 2e-9
 
 
+# Uneven times
+
+
+def uneven(path, sampled, printed):
+    """Three phases and currents sampled at times ``sampled``, with times ``printed`` beside them."""
+    v = 563.0 * np.exp(100j * np.pi * sampled) * (1.0 + 0.02 * np.exp(2j * np.pi * 77.0 * sampled))
+    samples = files.six(Stretch(v=v, i=v / (3.0 + 2.0j)))
+    rows = [",".join([f"{t:.6f}", *(f"{x:.6f}" for x in row)]) for t, row in zip(printed, samples, strict=True)]
+    return written(path, rows)
+
+
+EVEN = 250e-6 * np.arange(2000)
+CUT = np.floor(EVEN * 1e4 + 1e-9) / 1e4
+"""250 us printed to 100 us, cut off: steps of 200 and 300 us, alternately."""
+
+
+def test_the_step_of_times_that_are_cut_off_is_that_of_all_of_them(tmp_path):
+    rounded = open_waveforms(uneven(tmp_path / "a.csv", EVEN, CUT), "load")
+    assert rounded.dt_s == pytest.approx(250e-6, rel=2e-5)
+
+
+def test_a_step_that_changes_slowly_is_refused(tmp_path):
+    times = np.cumsum(250e-6 * (1.0 + 0.2 * np.arange(2000) / 2000))
+    refused(uneven(tmp_path / "a.csv", times, times), "away from where a fixed step of .* puts it: the step changes")
+
+
 # COMTRADE
 
 
