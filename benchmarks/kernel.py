@@ -21,6 +21,8 @@ from typing import Any, ClassVar
 from harness import Report, fresh, run_script, seconds
 
 SOURCES = ("ideal", "thevenin")
+INVERTERS = ("gfm-v1", "gfl-v1")
+INVERTER_BARS = {"gfm-v1": 1.2, "gfl-v1": 1.0}
 BAR_NS = 22.0
 STRETCH_NS = 15.0
 EMT_BAR_NS = 9.0
@@ -45,6 +47,11 @@ def measure(quick: bool) -> Report:
         report.add(f"{source}, second order", median(run[f"{source} emt"] for run in runs), "ns/step/lane", EMT_BAR_NS)
         ratio = median(run[f"{source} emt"] / run[source] for run in runs)
         report.add(f"{source}, second order over RK4, same process", ratio, "")
+    for inverter in INVERTERS:
+        name = f"{inverter}, 25 us"
+        report.add(f"{name}, median of {len(runs)} processes", median(run[inverter] for run in runs), "ns/step/lane")
+        ratio = median(run[inverter] / run["thevenin"] for run in runs)
+        report.add(f"{name}, over the turbine's RK4 behind a grid, same process", ratio, "", INVERTER_BARS[inverter])
     for kind, ns in price.items():
         report.add(f"price of one {kind}", ns, "ns/lane")
     report.series = {"processes": {source: [run[source] for run in runs] for source in SOURCES}}
@@ -71,10 +78,15 @@ def _timed() -> dict[str, Any]:
     for source in SOURCES:
         times: dict[str, list[float]] = {source: [], f"{source} emt": []}
         calls = {}
-        for what, integrator in zip(times, ("rk4", "emt"), strict=True):
+        for what, integrator in zip(list(times), ("rk4", "emt"), strict=True):
             advance, arguments, slot = _experiment(source, integrator)
             calls[what] = partial(advance, *arguments, block_steps, slot, np.empty((n_blocks, 8, 8)))
             calls[what]()
+        for plant_id in INVERTERS if source == "thevenin" else ():
+            times[plant_id] = []
+            advance, arguments, slot = _inverter(plant_id)
+            calls[plant_id] = partial(advance, *arguments, block_steps, slot, np.empty((n_blocks, 8, 8)))
+            calls[plant_id]()
         for _ in range(7):  # in turns, so that neighbours on the machine disturb both alike
             for what, call in calls.items():
                 times[what] += seconds(call, 1, time.process_time)
@@ -95,6 +107,21 @@ def _experiment(source_kind: str, integrator: str = "rk4") -> tuple[Any, tuple[A
     job = Job(state, Injection("series_voltage", (Tone(77.0, 0.5),)))
     ((lanes, _, advance, n_tones),) = plant._batches([job] * kernel.LANES, [Window(77.0, 15)] * kernel.LANES, 400)
     return advance, (lanes, n_tones, plant.parameters, plant.dt_s), kernel.SUM_V
+
+
+def _inverter(plant_id: str) -> tuple[Any, tuple[Any, ...], int]:
+    """As `_experiment`, for an inverter behind SCR 5."""
+    from seqsweep.plant.kernels import inverters as kernel
+    from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone, Window
+    from seqsweep.plant.registry import make_plant
+
+    plant: Any = make_plant(plant_id)
+    x_ohm = plant.base_impedance_ohm / 5.0
+    source = Source("thevenin", 0.1 * x_ohm, x_ohm / (2.0 * math.pi * 50.0))
+    state = plant.equilibrium(OperatingPoint(0.5 * plant.rating.power_va, 690.0), source)
+    job = Job(state, Injection("series_voltage", (Tone(77.0, 0.5),)))
+    ((lanes, _, table, tones),) = plant._batches([job] * kernel.LANES, [Window(77.0, 15)] * kernel.LANES, 400)
+    return partial(plant._advance(False), table), (lanes, tones, plant.parameters, plant.dt_s), kernel.SUM_V
 
 
 def _prices() -> dict[str, float]:

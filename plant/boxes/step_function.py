@@ -25,6 +25,7 @@ step takes two calls of it. No delay is put between the two, so no grid is too w
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -33,11 +34,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SeqsweepError
+from ..errors import SeqsweepError, in_words
 from ..injection import series_tones
 from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
 from ..states.behind_grid import settled_behind
-from ..states.steady_state import Clock, Patience, once, phase_peak, until_periodic, voltage_asked
+from ..states.steady_state import HOLDS, Clock, Patience, once, phase_peak, until_periodic, voltage_asked
 from .box import Identity
 
 AGREEMENT = 1e-12
@@ -66,6 +67,7 @@ def plant_from_step(
     power_meaning: str = "as the step function takes it",
     settle_tolerance: float = 1e-8,
     patience_s: float = 30.0,
+    hold: str = "start",
 ) -> StepPlant:
     """A plant around a step function; see the module's text for what it takes and returns.
 
@@ -87,6 +89,9 @@ def plant_from_step(
         Change from one period to the next, over the peak, at which it counts as settled.
     patience_s : float
         Simulated time (s) it may take until then.
+    hold : "start" or "mean"
+        What ``step`` is given of the source's voltage: its value at the start of the step, which comes half a step
+        late, or its mean over the step, which does not. The mean is known on an ideal source alone.
 
     Raises
     ------
@@ -94,7 +99,7 @@ def plant_from_step(
         If the step leaves fewer than ten samples per period, or a rating is not above 0.
     """
     identity = _identity(step, dt_s, voltage_v, power_va, f1_hz, active_power_w, terminal_voltage_pu, power_meaning)
-    return StepPlant(step, initial_state, identity, Patience(settle_tolerance, patience_s))
+    return StepPlant(step, initial_state, identity, Patience(settle_tolerance, patience_s), hold)
 
 
 def plant_from_lanes(
@@ -152,10 +157,20 @@ class StepState:
 class StepPlant:
     """What `plant_from_step` makes."""
 
-    def __init__(self, step: Callable[..., Any], initial_state: Any, identity: Identity, patience: Patience):
+    def __init__(
+        self,
+        step: Callable[..., Any],
+        initial_state: Any,
+        identity: Identity,
+        patience: Patience,
+        hold: str = "start",
+    ):
+        if hold not in HOLDS:
+            raise SeqsweepError(f"hold is {hold!r}; needed: {', '.join(HOLDS)}")
+        self._hold = hold
         self.id, (self.f1_hz, self.dt_s), self.rating, self.operating_range, self.power_meaning = identity
         self._step, self._initial_state = step, initial_state
-        self.contents = {"held_late_s": 0.5 * self.dt_s}
+        self.contents = {"held_late_s": 0.5 * self.dt_s if hold == "start" else 0.0}
         self._clock, self._patience = identity.clock, patience
         self._settled: dict[tuple[OperatingPoint, Source], StepState | NotSettled] = {}
 
@@ -181,6 +196,11 @@ class StepPlant:
         return once(self._settled, (operating_point, source), settle)
 
     def _settle(self, point: OperatingPoint, source: Source, voltage_v: float) -> StepState:
+        if source.kind != "ideal" and self._hold == "mean":
+            raise SeqsweepError(
+                f'{self.id} has hold = "mean", which is known on an ideal source alone: behind a grid take '
+                'hold = "start" and a small step'
+            )
         if source.kind == "ideal":
             return self.onwards(self.begun(point, source, phase_peak(voltage_v, source.angle_rad)))
         return settled_behind(self, point, source)
@@ -228,15 +248,21 @@ class StepPlant:
     def _run_one(self, job: Job, n_steps: int) -> tuple[StepState, Record]:
         state, source = job.state, job.state.source
         tones = series_tones(job.injection, source, lambda f_hz: self._grid_impedance(source, f_hz))
-        e = self._clock.voltage(((self.f1_hz, state.v_source), *tones), state.step, n_steps + 1)
+        phasors = ((self.f1_hz, state.v_source), *tones)
+        e = self._clock.voltage(phasors, state.step, n_steps + 1)
+        held = self._clock.held(self._hold, phasors, state.step, n_steps) if source.kind == "ideal" else None
         v, i = np.empty(n_steps, complex), np.empty(n_steps, complex)
         try:
-            device, i_end, v_end, steps_done = self._advance(state, e, v, i)
+            device, i_end, v_end, steps_done = self._advance(state, e, held, v, i)
+        except StepError:
+            raise
         except _typing_error() as error:
             raise StepError(
                 f"{self.id} cannot be compiled: step must return a state of the type of the initial state, and a "
                 f"complex current ({' '.join(str(error).split())[:200]})"
             ) from None
+        except Exception as error:
+            raise StepError(f"{self.id} failed: {told_where(error, self._step)}") from error
         if steps_done < n_steps:
             raise ArithmeticError(
                 f"device and grid find no common voltage in step {state.step + steps_done}: the step function is "
@@ -253,13 +279,13 @@ class StepPlant:
         return end, Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
 
     def _advance(
-        self, state: StepState, e: np.ndarray, v: np.ndarray, i: np.ndarray
+        self, state: StepState, e: np.ndarray, held: np.ndarray | None, v: np.ndarray, i: np.ndarray
     ) -> tuple[Any, complex, complex, int]:
         source = state.source
-        if source.kind == "ideal":
+        if held is not None:
             v[:] = e[:-1]
             device, i_end = self._loop(_on_ideal_source)(
-                self._step, state.device, state.i, self._given(v), self.dt_s, i
+                self._step, state.device, state.i, self._given(held), self.dt_s, i
             )
             return device, i_end, e[-1], len(v)
         e_mean = self._given((e[:-1] + e[1:]) / 2.0)
@@ -352,6 +378,18 @@ def _compiled(loop: Callable[..., Any]) -> Callable[..., Any]:
     from numba import njit
 
     return njit(nogil=True)(loop)
+
+
+def told_where(error: Exception, step: Callable[..., Any]) -> str:
+    """An error of a user's function in words, with the file and line of the user's own code where it has one."""
+    code = getattr(getattr(step, "py_func", step), "__code__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
+    if not own and code is None:
+        return in_words(error)
+    if not own:
+        return f"{in_words(error)} (in {step.__name__}, {code.co_filename}, line {code.co_firstlineno})"
+    return f"{in_words(error)} ({own[-1].filename}, line {own[-1].lineno}: {own[-1].line})"
 
 
 def _typing_error() -> type[Exception]:

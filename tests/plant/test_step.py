@@ -15,7 +15,7 @@ from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, 
 from ..support import step_plants
 from ..support.commands import call, campaign
 from ..support.step_plants import DT_S, KEEP, admittance
-from ..support.sweeps import planned, swept
+from ..support.sweeps import planned, rows_of, swept
 
 RATED = OperatingPoint(0.0, 690.0)
 GRID = Source("thevenin", r_ohm=0.012, l_h=0.8e-3, angle_rad=0.3)
@@ -173,3 +173,39 @@ def test_a_step_function_is_swept_from_the_command_line(tmp_path):
     done = call("run", path, "-o", table)
     assert done.returncode == 0, done.stderr
     assert "4 ok" in done.stderr
+
+
+def test_mean_of_the_voltage_takes_half_a_step_of_delay_away():
+    """An exact R-L step under held voltage: the phase error of its swept admittance falls from w h / 2 to nothing."""
+    r, l_h, dt_s = 0.5, 2e-3, 1e-4
+    decay = np.exp(-r / l_h * dt_s)
+
+    def step(i, v, dt):
+        i = decay * i + (1.0 - decay) / r * v
+        return i, i
+
+    f_hz = 400.0
+    exact = 1.0 / (r + 2j * np.pi * f_hz * l_h)
+    errors = {}
+    for hold in ("start", "mean"):
+        plant = plant_from_step(step, 0j, dt_s=dt_s, voltage_v=400.0, power_va=10e3, hold=hold)
+        assert plant.contents["held_late_s"] == (0.5 * dt_s if hold == "start" else 0.0)
+        rows = rows_of(plant, planned(plant, f_hz=[f_hz], point={"active_power_mw": 0.0, "terminal_voltage_pu": 1.0}))
+        errors[hold] = abs(rows[0].admittance[0, 0] / exact - 1.0)
+    assert errors["start"] == pytest.approx(np.pi * f_hz * dt_s, rel=0.05)
+    assert errors["mean"] < 0.05 * errors["start"]
+    with pytest.raises(ValueError, match="hold is 'middle'; needed: start, mean"):
+        plant_from_step(step, 0j, dt_s=dt_s, voltage_v=400.0, power_va=10e3, hold="middle")
+    with pytest.raises(ValueError, match="known on an ideal source alone"):
+        plant.settle(OperatingPoint(0.0, 400.0), Source("thevenin", 0.1, 1e-3))
+
+
+def test_an_error_in_the_users_function_names_its_file_and_line():
+    def step(i, v, dt):
+        gains = {"k": 1.0}
+        return i, gains["K"] * v
+
+    plant = plant_from_step(step, 0j, dt_s=1e-4, voltage_v=400.0, power_va=10e3)
+    words = r"KeyError: 'K' \(.*test_step\.py, line \d+: return i, gains\[\"K\"\] \* v\)"
+    with pytest.raises(StepError, match=words):
+        plant.settle(OperatingPoint(0.0, 400.0), Source())

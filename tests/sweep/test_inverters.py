@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from seqsweep.plant.registry import make_plant
+from seqsweep.sweep.run.campaign import sweep_in_memory
+from seqsweep.tuning.siso import SeriesRL
+from seqsweep.tuning.tune import tune_point
 
 from ..support import inverter_oracle as oracle
 from ..support.sweeps import errors, planned, rows_of, y_of
@@ -71,6 +74,43 @@ def test_stiff_grid_forming_device_is_swept_behind_two_grids_to_the_same_admitta
     apart = np.linalg.norm(y_of(tables[0]) - y_of(tables[1]), axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
     print(f"\n  Y behind SCR 10 and 30: apart by {apart.max():.2e} at most", end="")
     assert apart.max() <= BAR
+
+
+def judged(plant, responses, scr: float):
+    """The verdict of a sweep on a grid of X/R = 10."""
+    section = scr_source(plant, scr)
+    grid = SeriesRL(section["r_ohm"], section["x_ohm"], 50.0)
+    bases = {"rated_voltage_v": plant.rating.voltage_v, "rated_power_va": plant.rating.power_va}
+    return tune_point(responses[0], grid, bases=bases)
+
+
+def swept_in_memory(plant, p: float, source: dict[str, object]):
+    s = plant.rating.power_va / 1e6
+    point = {"active_power_mw": p * s, "terminal_voltage_pu": 1.0}
+    plan = planned(plant, point=point, sweep={**BAND, "points": 100}, source=source)
+    return list(sweep_in_memory(plan, plant, jobs=1, backend="threading").responses())
+
+
+@pytest.mark.parametrize("swept_behind", [10.0, 30.0])
+def test_edge_of_the_stiff_device_lies_at_a_stronger_grid(swept_behind):
+    """|v_pcc| = 1 pu held, P = 0.5 pu: stable below SCR 34.345, unstable above; right at 1 % on both sides."""
+    plant = make_plant("gfm-v1", STIFF)
+    responses = swept_in_memory(plant, 0.5, scr_source(plant, swept_behind))
+    for scr, verdict in ((2.0, "stable"), (34.0, "stable"), (34.69, "unstable"), (100.0, "unstable")):
+        found = judged(plant, responses, scr)
+        assert found.verdict == verdict, scr
+        assert found.model.n_unstable == 2
+
+
+def test_edge_of_the_following_device_lies_at_a_weaker_grid():
+    """|v_pcc| = 1 pu held, P = 1 pu: stable above SCR 1.6090; verdict and critical ratio are right at 1 %."""
+    plant = make_plant("gfl-v1")
+    responses = swept_in_memory(plant, 1.0, {"kind": "ideal"})
+    for scr, verdict in ((3.0, "stable"), (1.625, "stable"), (1.593, "unstable"), (1.4, "unstable")):
+        found = judged(plant, responses, scr)
+        assert found.verdict == verdict, scr
+        assert found.critical_scr == pytest.approx(1.6090, rel=0.002)
+        assert found.model.n_unstable == 0
 
 
 def test_shunt_current_gives_the_same_admittance_as_series_voltage():
