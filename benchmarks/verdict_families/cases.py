@@ -71,10 +71,12 @@ def cases_of(seed: int, index: int, share_swept: float, grids: int, cache: Path)
     off = np.linalg.norm(response.y - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
     nu_hz = np.unique(np.abs(response.f_hz[usable] - unit.bases.f1_hz))
     nu_hz = nu_hz if len(nu_hz) else np.array([np.inf])
+    error = float(np.median(off[usable])) if usable.any() else float("nan")
+    noise = spec.noise if spec.source == "exact" else error
     cases = []
     for number, (size, distance) in enumerate(_sizes(unit, found, grids, rng)):
         grid = grid_of(size, r_over_x)
-        truth = truth_of(unit, grid, distance, nu_hz)
+        truth = truth_of(unit, grid, distance, nu_hz, noise)
         cases.append(
             Case(
                 seed=seed,
@@ -84,7 +86,7 @@ def cases_of(seed: int, index: int, share_swept: float, grids: int, cache: Path)
                 text=unit.text,
                 spec=spec,
                 n_rows=int(usable.sum()),
-                error=float(np.median(off[usable])) if usable.any() else float("nan"),
+                error=error,
                 swept_on=unit.swept_on,
                 own_unstable=unit.own_unstable,
                 r_ohm=grid[0],

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .linear import J
+from .linear import J, Linear
 from .units import Unit
 
 RATIO = 1.3
@@ -47,8 +47,9 @@ class Truth:
     critical_covered : bool
         Whether rows lie around it as closely as `covers` asks.
     hidden : bool
-        Whether every pole on the right lies beyond the last row, where the device is passive or the loop gain below
-        one: nothing in such a table can tell.
+        Whether nothing in such a table can tell: every pole on the right lies beyond the last row, where the device is
+        passive or the loop gain below one, or comes from a mode of the device whose part of every row is below twice
+        the row's error.
     """
 
     stable: bool
@@ -61,8 +62,8 @@ class Truth:
     hidden: bool
 
 
-def truth_of(unit: Unit, grid: tuple[float, float], distance: float, nu_hz: np.ndarray) -> Truth:
-    """Exact facts; ``nu_hz`` (n,) are the usable rows' |f - f1|, ascending."""
+def truth_of(unit: Unit, grid: tuple[float, float], distance: float, nu_hz: np.ndarray, noise: float = 0.0) -> Truth:
+    """Exact facts; ``nu_hz`` (n,) are the usable rows' |f - f1|, ascending, ``noise`` their relative errors."""
     poles = unit.device.closed_loop(*grid)
     critical = critical_mode(unit, grid, poles, nu_hz)
     oscillates = np.isfinite(critical.real)
@@ -74,7 +75,7 @@ def truth_of(unit: Unit, grid: tuple[float, float], distance: float, nu_hz: np.n
         distance=distance,
         covered=covers(unit, grid, nu_hz, modes),
         critical=critical,
-        hidden=_is_hidden(unit, grid, poles[poles.real > 0.0], float(nu_hz[-1])),
+        hidden=_is_hidden(unit, grid, poles[poles.real > 0.0], nu_hz, noise),
         critical_covered=bool(oscillates and _closed_at(abs(critical.imag) / (2.0 * np.pi), nu_hz, modes)),
     )
 
@@ -130,11 +131,25 @@ def _active_and_gain(unit: Unit, grid: tuple[float, float], nu: np.ndarray) -> t
     return least < -1e-3 * np.linalg.norm(y, axis=(1, 2)), np.abs(np.linalg.eigvals(y @ z)).max(axis=1)
 
 
-def _is_hidden(unit: Unit, grid: tuple[float, float], unstable: np.ndarray, end_hz: float) -> bool:
-    if not len(unstable) or not np.isfinite(end_hz) or np.abs(unstable.imag).min() < 2.0 * np.pi * end_hz:
+def _is_hidden(unit: Unit, grid: tuple[float, float], unstable: np.ndarray, nu_hz: np.ndarray, noise: float) -> bool:
+    if not len(unstable) or not np.isfinite(nu_hz[-1]):
         return False
-    active, gain = _active_and_gain(unit, grid, np.array([end_hz]))
-    return not bool(active[0] and gain[0] > 1.0)
+    beyond = np.abs(unstable.imag) > 2.0 * np.pi * nu_hz[-1]
+    active, gain = _active_and_gain(unit, grid, nu_hz[-1:])
+    beyond &= not bool(active[0] and gain[0] > 1.0)
+    return all(out or _is_drowned(unit, pole, nu_hz, noise) for out, pole in zip(beyond, unstable, strict=True))
+
+
+def _is_drowned(unit: Unit, pole: complex, nu_hz: np.ndarray, noise: float) -> bool:
+    """Whether the device's own mode next to a closed-loop pole is lost in the errors of every row."""
+    device = unit.device
+    if noise == 0.0 or not isinstance(device, Linear):
+        return False
+    poles, vectors = np.linalg.eig(device.a)
+    nearest = int(np.argmin(np.abs(poles - pole)))
+    residue = np.outer(device.c @ vectors[:, nearest], np.linalg.solve(vectors, device.b.astype(complex))[nearest])
+    part = np.linalg.norm(residue) / np.abs(2j * np.pi * nu_hz - poles[nearest])
+    return bool(np.all(part < 2.0 * noise * np.linalg.norm(device.admittance(nu_hz), axis=(1, 2))))
 
 
 def _closed_at(nu: float, rows: np.ndarray, modes: np.ndarray) -> bool:
