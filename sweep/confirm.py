@@ -17,7 +17,7 @@ from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
 from ..tuning.gain import GainSearch, search_gain, search_signed
 from ..tuning.result import PointTuning, TuningResult, confirmed, confirmed_signed, defeated
-from ..tuning.siso import SeriesRL
+from ..tuning.siso import Grid, SeriesRL, own_impedance
 from ..tuning.tune import tune_point
 from .config.sections import Config
 from .planning import make_plan
@@ -64,10 +64,8 @@ def confirm(
     todo = [point for point in result.points if point.f_r_hz is not None]
     if not todo:
         raise ConfirmError("nothing to confirm: no operating point has a resonance to set the damping control to")
-    if not all(isinstance(point.grid, SeriesRL) for point in todo):
-        raise ConfirmError(
-            "damping control is set by the R and L of a grid; this one is another network: tune on its R+jX at f1"
-        )
+    for point in todo:
+        virtual_impedance(point.grid, point.f_r_hz)
     swept = _resweeps(config, result.margin_required, jobs, report)
     by_formula = [point for point in todo if point.k is not None]
     searches = _common_gain(by_formula, result.margin_required, lambda point, k: measured_margin(swept(point, k)))
@@ -108,7 +106,7 @@ def _own_impedance(config: Config, point: PointTuning) -> SeriesRL:
     """A reactance of `OWN_REACTANCE_PU` at the frequency that the damping control is set to."""
     rating = plant_or_card(config).rating
     assert point.f_r_hz is not None
-    assert isinstance(point.grid, SeriesRL)
+    assert point.grid is not None
     f1_hz = point.grid.f1_hz
     x_ohm = OWN_REACTANCE_PU * rating.voltage_v**2 / rating.power_va
     return SeriesRL(0.0, x_ohm * f1_hz / abs(point.f_r_hz), f1_hz)
@@ -167,7 +165,7 @@ def _resweeps(config: Config, required: float, jobs: int, report: Report) -> Res
     def swept(point: PointTuning, k: float, own: SeriesRL | None = None) -> PointTuning:
         key = (point.op_id, point.scale, k, own)
         if key not in known:
-            assert isinstance(point.grid, SeriesRL)
+            assert point.grid is not None
             known[key] = judged_with(config, point.op_id, point.grid, k, point.f_r_hz, jobs, required, own)
             at = f" x{point.scale:g}" if point.scale != 1.0 else ""
             gives = f"m = {measured_margin(known[key]):.4f}"
@@ -179,7 +177,7 @@ def _resweeps(config: Config, required: float, jobs: int, report: Report) -> Res
     return swept
 
 
-def margin_with(config: Config, op_id: str, grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int) -> float:
+def margin_with(config: Config, op_id: str, grid: Grid, k: float, f_r_hz: float | None, jobs: int) -> float:
     """m of the reshaped device on ``grid``: infinite without a crossing, NaN where it cannot be swept."""
     return measured_margin(judged_with(config, op_id, grid, k, f_r_hz, jobs))
 
@@ -194,7 +192,7 @@ def measured_margin(point: PointTuning) -> float:
 def judged_with(
     config: Config,
     op_id: str,
-    grid: SeriesRL,
+    grid: Grid,
     k: float,
     f_r_hz: float | None,
     jobs: int,
@@ -205,12 +203,34 @@ def judged_with(
 
     ``k`` multiplies ``own``, or the grid if there is none.
     """
-    response = sweep_with_damping(config, op_id, own or grid, k, f_r_hz, jobs)
+    response = sweep_with_damping(config, op_id, own or virtual_impedance(grid, f_r_hz), k, f_r_hz, jobs)
     if np.count_nonzero(response.ok) < len(response) // 2:
         first = next((str(reason) for reason in np.asarray(response.reason) if reason), "")
         reason = f"only {np.count_nonzero(response.ok)} of {len(response)} rows are ok with k = {k:.3g} ({first})"
         return PointTuning(op_id, "undecided", reason, grid=grid)
     return tune_point(response, grid, margin=margin)
+
+
+def virtual_impedance(grid: Grid | None, f_r_hz: float | None) -> SeriesRL:
+    """R and L that have the grid's impedance at the resonance: what damping control multiplies by k.
+
+    Raises
+    ------
+    ConfirmError
+        If the grid is capacitive there.
+    """
+    if isinstance(grid, SeriesRL):
+        return grid
+    assert grid is not None
+    assert f_r_hz is not None
+    z = own_impedance(grid, f_r_hz)
+    x_ohm = z.imag * grid.f1_hz / f_r_hz
+    if not x_ohm > 0.0:
+        raise ConfirmError(
+            f"damping control is set by an R and an L; at the resonance, {f_r_hz:.4g} Hz, the grid ({grid.label}) is "
+            f"capacitive ({z.real:.4g} {z.imag:+.4g}j ohm)"
+        )
+    return SeriesRL(max(z.real, 0.0), x_ohm, grid.f1_hz)
 
 
 def sweep_with_damping(

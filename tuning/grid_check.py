@@ -39,6 +39,8 @@ def grid_warnings(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid
     grid : Grid
         The grid of the tuning.
     """
+    if grid.couples:
+        return ()  # a converter sets its own voltage: no load flow of a line tells it
     swept = point.get("grid")
     return (*_implausible(bases, grid), *(_against_swept_grid(swept, grid) if swept else _source(point, bases, grid)))
 

@@ -158,7 +158,7 @@ def _judged(
     """The operating point on one grid."""
     response, model = device.response, device.model
     at = {**response.meta, "grid": swept_grid or response.meta.get("grid")}
-    warnings = (*_row_warnings(response), *grid_warnings(at, bases, grid))
+    warnings = (*_row_warnings(response), *getattr(grid, "notes", ()), *grid_warnings(at, bases, grid))
     if device.problem or model is None:
         return PointTuning(
             device.op_id, "undecided", device.problem, model=model, warnings=warnings, grid=grid, response=response

@@ -32,6 +32,9 @@ _UNITS = {
     **{"-": 1.0, "1": 1.0, "": 1.0},
 }
 
+_RELATIVE = ("pu", "p.u.", "%")
+_UNIT_WORDS = ("ohm", "ohms", "mohm", "milliohm", "kohm", "hz", "khz", "deg", "degrees", "rad", "radians", "pu")
+
 SAME_SEQUENCES = 0.02
 """Part of |Z| by which positive and negative sequence of a passive symmetric grid may differ in a table."""
 
@@ -46,28 +49,39 @@ class Heading(NamedTuple):
 
 
 def heading_of(text: str) -> Heading:
-    """Recognise ``f [Hz]``, ``R1 (ohm)``, ``|Z| dB``, ``Network Impedance, Magnitude in Ohm``, ``z0_re``, ..."""
-    unit = _unit(text)
-    bare = re.sub(r"[\[(].*?[\])]", " ", text).replace("|", " abs ").replace("∠", " phase ")
-    bare = re.sub(r"(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", bare)
-    words = [word for word in re.split(r"[\W_]+", bare.lower()) if word]
+    """Recognise ``f [Hz]``, ``R1 (ohm)``, ``|Z+|(ohms)``, ``Network Impedance, Magnitude in Ohm``, ``z0_re``, ..."""
+    bare, unit = _split_unit(text)
+    words = _words(bare)
     parts = [_PARTS[word] for word in words if word in _PARTS]
     sequence = next((_SEQUENCES[word] for word in words if word in _SEQUENCES), "")
-    if words and words[0] in _FREQUENCIES and not [p for p in parts if p != "z"]:
-        is_order = words[0] in ("harmonic", "order", "h")
-        named = next((word for word in words if word in ("khz", "omega", "w")), "")
-        return Heading("f", "", unit or {"khz": "khz", "omega": "rad/s", "w": "rad/s"}.get(named, ""), is_order)
+    unit = unit or next((word for word in words if word in _UNIT_WORDS), "")
+    if words and words[0] in _FREQUENCIES and not [part for part in parts if part != "z"]:
+        named = {"omega": "rad/s", "w": "rad/s"}.get(words[0], "")
+        return Heading("f", "", unit or named, words[0] in ("harmonic", "order", "h"))
     known = [part for part in parts if part != "z"] or parts
-    if "db" in words:
-        unit = "db"
     if "std" in known:
         return Heading("std", sequence, unit)
-    return Heading(known[-1] if known else "other", sequence, unit)
+    return Heading(known[-1] if known else "other", sequence, "db" if "db" in words or unit.startswith("db") else unit)
 
 
-def _unit(text: str) -> str:
+def _split_unit(text: str) -> tuple[str, str]:
+    """The name, and the unit that stands in brackets at its end or behind "in"; what is no unit stays in the name."""
     found = re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|\bin\s+(\S+)\s*$", text)
-    return "" if found is None else (found[1] or found[2]).strip().lower()
+    unit = "" if found is None else (found[1] or found[2]).strip().lower()
+    square = found is not None and "[" in found[0]
+    is_unit = square or unit in _UNITS or unit in _RELATIVE or "ohm" in unit or "ω" in unit
+    return (text[: found.start()], unit) if found is not None and is_unit else (text, "")
+
+
+def _words(name: str) -> list[str]:
+    """Words of a name in lower case; signs of a sequence, bars and angle signs are words, too."""
+    for sign, word in (("/_", " phase "), ("∠", " phase "), ("|", " abs ")):
+        name = name.replace(sign, word)
+    name = re.sub(r"(?<=[A-Za-z])\+", " pos ", name)
+    name = re.sub(r"(?<=[RXZrxz])-(?=\W|$)", " neg ", name)
+    name = re.sub(r"\b([RXZrxz])(pos|neg|zero)", r"\1 \2", name)
+    name = re.sub(r"(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", name)
+    return [word for word in re.split(r"[\W_]+", name.lower()) if word]
 
 
 def frequency_of(heading: Heading, values: np.ndarray, f1_hz: float) -> np.ndarray:
@@ -98,6 +112,8 @@ def impedance_of(headings: Sequence[Heading], columns: Sequence[np.ndarray], pla
             "one of complex numbers"
         )
     notes = [f"the {name} sequence was left out" for name in ("zero",) if found[name] is not None]
+    if not any(h.unit for h in headings if h.what in ("re", "im", "mag", "z")):
+        notes.append("the unit of Z is not named and was taken for ohm")
     if found["positive"] is not None and found["negative"] is not None:
         _check_alike(found["positive"], found["negative"], place)
         notes.append("positive and negative sequence agree, as those of a passive symmetric grid do")
@@ -128,6 +144,11 @@ def _joined(headings: Sequence[Heading], columns: Sequence[np.ndarray], sequence
     magnitude = parts.get("mag", parts.get("z"))
     if "phase" in parts and magnitude is not None:
         heading, column = parts["phase"]
+        if not heading.unit and np.nanmax(np.abs(column.real)) <= 1.01 * np.pi:
+            raise GridError(
+                f"{place}: angles from {np.nanmin(column.real):.3g} to {np.nanmax(column.real):.3g}: name "
+                "their unit, [deg] or [rad]"
+            )
         return _magnitude(magnitude) * np.exp(1j * np.radians(column.real * _factor(heading.unit)))
     if "z" in parts and np.iscomplexobj(parts["z"][1]) and np.any(parts["z"][1].imag != 0.0):
         return _scaled(parts["z"])
@@ -145,7 +166,7 @@ def _scaled(part: tuple[Heading, np.ndarray]) -> np.ndarray:
 
 
 def _factor(unit: str) -> float:
-    if unit in ("pu", "p.u.", "%"):
+    if unit in _RELATIVE:
         raise GridError(f"a column in {unit!r}: the base is not in the table; give ohm")
     if unit not in _UNITS:
         raise GridError(f"unit {unit!r} is not known; known are ohm, mohm, kohm, Hz, kHz, rad/s, deg, rad, dB")

@@ -7,13 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ...identify.fit.rational import RationalModel
 from ...plant.errors import place_of
+from ..poles import closed_loop_poles, is_beyond
 from .elements import elements_grid
 from .errors import GridError
 from .promise import Grid
 from .regions import RegionGrid, regions_grid
 from .response import ResponseGrid
-from .series import check_scale, parse_series
+from .series import SeriesRL, check_scale, parse_series
 from .tables import table_grid
 
 GRID_SUFFIXES = (".toml", ".parquet", ".csv", ".txt", ".dat", ".tsv", ".asc", ".s1p", ".s2p", ".mat", ".json")
@@ -100,4 +104,22 @@ def response_grid(path: Path, op_id: str | None, f1_hz: float) -> ResponseGrid:
     chosen = responses[0 if op_id is None else place_of(op_id, ids, str(path), GridError)]
     if chosen.f1_hz != f1_hz:
         raise GridError(f"{path}: its fundamental is {chosen.f1_hz:g} Hz, the device's {f1_hz:g} Hz")
-    return ResponseGrid(fit_response(chosen), f"{path.name}#{chosen.meta.get('op_id')}")
+    name = f"{path.name}#{chosen.meta.get('op_id')}"
+    model = fit_response(chosen)
+    _check_proved(model, chosen.meta.get("stable_on"), name)
+    return ResponseGrid(model, name)
+
+
+def _check_proved(model: RationalModel, stable_on: Any, name: str) -> None:
+    """Refuse a source whose own stability is not what its table proves, or is left open and matters."""
+    place = stable_on.get("grid") if isinstance(stable_on, Mapping) else None
+    if isinstance(place, Mapping):
+        line = SeriesRL(float(place["r_ohm"]), float(place["x_ohm"]), model.f1_hz)
+        poles = closed_loop_poles(model, line)
+        if np.any((poles.real > 0.0) & ~is_beyond(model, poles)):
+            raise GridError(f"{name}: the source was stable on {line.label}, its fit is not: sweep more points of it")
+    elif place is None and model.n_unstable:
+        raise GridError(
+            f"{name}: the fit has {model.n_unstable} unstable poles of the source's own, and nothing proves or "
+            "excludes them: import or identify it with --stable-on, which says on which grid it was stable"
+        )

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.identify.table.write import write_table
+from seqsweep.tuning.grids.open import open_grid
 from seqsweep.tuning.grids.response import ResponseGrid
 from seqsweep.tuning.grids.series import SeriesRL
 from seqsweep.tuning.verdict import judge
@@ -16,6 +21,14 @@ F1_HZ, W1, U_V = 50.0, 100.0 * np.pi, 690.0
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 T = np.array([[1.0, 1j], [1.0, -1j]])
 NU = np.geomspace(0.4, 1950.0, 100)
+METADATA = {
+    "f1_hz": F1_HZ,
+    "bases": {"rated_voltage_v": U_V, "rated_power_va": 1.632e6},
+    "power_meaning": "at the PCC, out of the device",
+    "operating_points": [{"op_id": name, "active_power_mw": 0.0, "terminal_voltage_pu": 1.0} for name in "ab"],
+    "configuration": {},
+    "plant": {"id": "line"},
+}
 IDEAL = {"op_id": "a", "stable_on": {"grid": "ideal", "basis": "shots"}}
 FIRST, SECOND = oracle.linearise(0.65e6, U_V), oracle.linearise(0.3e6, U_V)
 
@@ -99,3 +112,16 @@ def test_an_ordinary_line_as_a_table_is_the_line() -> None:
     np.testing.assert_allclose(grid.scaled(2.0).impedance_dq(s), 2.0 * line.impedance_dq(s), rtol=1e-6, atol=1e-7)
     assert grid.couples
     assert grid.at_f1 == pytest.approx(line.at_f1, rel=1e-6)
+
+
+def test_a_source_of_several_points_is_named_and_its_table_read(tmp_path: Path) -> None:
+    y = of_line(2j * np.pi * NU, 1.0)
+    response = measured(y, 0.0, np.random.default_rng(0))
+    points = [
+        replace(response, meta={"op_id": name, **{k: v for k, v in IDEAL.items() if k != "op_id"}}) for name in "ab"
+    ]
+    write_table(tmp_path / "source.parquet", points, METADATA)
+    with pytest.raises(ValueError, match=r"write .*#ID"):
+        open_grid(str(tmp_path / "source.parquet"), F1_HZ)
+    grid = open_grid(f"{tmp_path / 'source.parquet'}#b", F1_HZ)
+    assert grid.at_f1 == pytest.approx(0.012 + 0.25j, rel=1e-5)

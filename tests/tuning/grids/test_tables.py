@@ -42,6 +42,10 @@ TEXTS = {
     "order.csv": lines(
         "harmonic order,R1 [ohm],X1 [ohm],R0 [ohm],X0 [ohm]", F / 50, Z.real, Z.imag, Z.real, 3 * Z.imag
     ),
+    "pscad.txt": lines("F(Hz)  |Z+|(ohms)  /_Z+(deg)  |Z0|(ohms)", F, np.abs(Z), degrees(Z), 9 * F, sep="  "),
+    "words.csv": lines("Frequency in Hz;Impedance, Magnitude in Ohm;Angle in deg", F, np.abs(Z), degrees(Z), sep=";"),
+    "milli.csv": lines("f_kHz,real(Z)_mohm,imag(Z)_mohm", F / 1e3, 1e3 * Z.real, 1e3 * Z.imag),
+    "signs.csv": lines("f [Hz],R+,X+,R-,X-", F, Z.real, Z.imag, Z.real, Z.imag),
     "negative.csv": lines("f [Hz],R2 [ohm],X2 [ohm]", F, Z.real, Z.imag),
     "both.csv": lines("f [Hz],R1 [ohm],X1 [ohm],R2 [ohm],X2 [ohm]", F, Z.real, Z.imag, Z.real, Z.imag),
     "complex.txt": "\n".join(f"{f:.12g} {z.real:.12g}{z.imag:+.12g}j" for f, z in zip(F, Z, strict=True)) + "\n",
@@ -156,6 +160,8 @@ BAD = {
     "unlike.csv": (lines("f [Hz],R1,X1,R2,X2", F, Z.real, Z.imag, 2 * Z.real, 2 * Z.imag), "differ by"),
     "bare.csv": ("\n".join(lines("", F, Z.real, Z.imag).splitlines()[1:]) + "\n", "without headings"),
     "per_unit.csv": (lines("f [Hz],R [pu],X [pu]", F, Z.real, Z.imag), "the base is not in the table"),
+    "unit.csv": (lines("f [Hz],R [furlong],X [furlong]", F, Z.real, Z.imag), "is not known; known are ohm"),
+    "angle.csv": (lines("f [Hz],|Z| [ohm],angle", F, np.abs(Z), np.angle(Z)), "name their unit"),
     "words.csv": ("f [Hz],R [ohm],X [ohm]\nall,is,well\n", "no rows of numbers"),
 }
 
