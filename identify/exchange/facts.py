@@ -2,8 +2,8 @@
 
 A file seldom says everything that decides a sign. What it does say are its *facts*; what it leaves
 open the user gives; nothing is assumed, a fact that neither knows is an error that names the option.
-Readers (`exchange_csv`, `exchange_mat`, `exchange_touchstone`) turn a file into `Found`, in SI but
-otherwise as it stands; `exchange_table.to_table` is the one place where it becomes ours.
+Readers (`text`, `mat`, `touchstone`) turn a file into `Found`, in SI but
+otherwise as it stands; `convert.to_table` is the one place where it becomes ours.
 """
 
 from __future__ import annotations

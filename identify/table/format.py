@@ -1,7 +1,7 @@
 """The format ``seqsweep-admittance``: its columns, its metadata with their hashes, and how covariances are packed.
 
 ``docs/table-format.md`` is the contract, ``schema/`` holds the JSON schema of the metadata and
-`table_rules` what a conforming table must satisfy.
+`rules` what a conforming table must satisfy.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ def _row_groups(responses: Iterable[FrequencyResponse], schema: Any) -> Iterator
 
 
 def rows_of(responses: Iterable[FrequencyResponse]) -> dict[str, np.ndarray]:
-    """Columns of several responses, one after the other, before they are written: for `table_rules`."""
+    """Columns of several responses, one after the other, before they are written: for `rules`."""
     return joined([_columns(response) for response in responses])
 
 

@@ -1,7 +1,7 @@
 """A box that takes a voltage and gives a current, and can only go forwards: as a plant.
 
 A state is the *way* to it: the operating point at which the box was settled, and everything injected since.
-How the way is gone is the business of its `Branches`: by a snapshot, by a fork, or from cold.
+How the way is gone is the business of its `StateStore`: by a snapshot, by a fork, or from cold.
 
 Behind an ideal source alone. A grid would have to be solved together with the box, step by step, and a box that
 cannot go back cannot be asked twice; its admittance is the same on an ideal source.
@@ -18,8 +18,8 @@ import numpy as np
 from ..errors import SeqsweepError
 from ..injection import series_tones
 from ..protocol import Job, NotSettled, OperatingPoint, OperatingRange, Rating, Record, Source
-from ..states.forks import Action, Way
 from ..states.steady_state import HOLDS, Clock, Patience, once, phase_peak, until_periodic, voltage_asked
+from ..states.store import StateStore, Way
 
 
 class Box(Protocol):
@@ -31,14 +31,6 @@ class Box(Protocol):
 
     def advance(self, v: np.ndarray) -> np.ndarray:
         """Currents (n,) at the ends of n steps under voltages (n,), each held for its step; space vectors."""
-        ...
-
-
-class Branches(Protocol):
-    """The positions of a box, by the way to them."""
-
-    def act(self, way: Way, action: Action) -> Any:
-        """The answer of ``action`` at the end of ``way``."""
         ...
 
 
@@ -122,7 +114,7 @@ class DrivenPlant:
     ----------
     identity : Identity
         What it says of itself.
-    branches : Branches
+    branches : StateStore
         How its states are reached.
     patience : Patience
         When it counts as settled.
@@ -140,7 +132,7 @@ class DrivenPlant:
     def __init__(
         self,
         identity: Identity,
-        branches: Branches,
+        branches: StateStore,
         patience: Patience,
         contents: Mapping[str, Any] | None = None,
         hold: str = "start",

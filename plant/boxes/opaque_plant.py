@@ -2,7 +2,7 @@
 
 `Branched` takes any plant that answers rightly as long as it goes forwards, such as a controller with
 hidden statics, and keeps its states as ways: the settling and everything done since. How a way is gone is
-the business of its `Branches` (`forked.Forks`, `branches.Replays`).
+the business of its `StateStore` (`forks.Forks`, `stores.Replays`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from ..protocol import (
     Trace,
     Window,
 )
-from ..states.forks import Way
-from .box import Branches
+from ..states.store import StateStore, Way
 
 
 class Calming(PhasorPlant, MeasuredPlant, Protocol):
@@ -158,7 +157,7 @@ class BranchedState:
 class Branched:
     """States of a plant that can only go forwards, kept by ``branches``; see `Plant` for what its methods promise."""
 
-    def __init__(self, branches: Branches):
+    def __init__(self, branches: StateStore):
         self._branches = branches
 
     def begin(self, action: Settle | Rest) -> BranchedState:

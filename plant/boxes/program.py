@@ -10,8 +10,9 @@ from typing import Any
 
 from ..protocol import OperatingRange, Rating
 from ..states.steady_state import Clock, Patience
+from ..states.store import StateStore
 from ..states.stores import Replays, Snapshots
-from .box import Branches, DrivenPlant, Identity
+from .box import DrivenPlant, Identity
 from .program_frames import PeerBox
 
 
@@ -50,7 +51,7 @@ def process_plant(
     card = box.card
     box.peer.close()
     build = partial(PeerBox, command, answer_s, parameters)
-    branches: Branches = Snapshots(build) if card["snapshot"] else Replays(build)
+    branches: StateStore = Snapshots(build) if card["snapshot"] else Replays(build)
     low, high = (limit * card["voltage_v"] for limit in card["terminal_voltage_pu"])
     power = card["active_power_w"]
     identity = Identity(

@@ -33,7 +33,7 @@ import numpy as np
 from ..errors import SeqsweepError
 from ..protocol import OperatingPoint
 from ..states.processes import die_with_parent, how_it_ended, last_words
-from ..states.stores import BoxLost
+from ..states.store import BoxLost
 
 VERSION = 1
 MOST_STEPS = 4096

@@ -1,6 +1,6 @@
 """A controller that nobody can look into, as a circuit needs it: memory, an address to call, states if it can.
 
-Real-code libraries (`cigre`) and FMUs (`fmu_controller`) keep this promise; `grey_core` is the circuit.
+Real-code libraries (`cigre`) and FMUs (`controllers.fmu`) keep this promise; `greybox.stepping` is the circuit.
 """
 
 from __future__ import annotations

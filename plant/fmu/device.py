@@ -31,11 +31,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..boxes.box import Branches, DrivenPlant, Identity
+from ..boxes.box import DrivenPlant, Identity
 from ..protocol import OperatingPoint, OperatingRange, Rating, SourceDirection
 from ..space_vectors import abc_of, vector_of
 from ..states.forks import Forks
 from ..states.steady_state import Clock, Patience
+from ..states.store import StateStore
 from ..states.stores import Replays, Snapshots
 from .archive import sha256_of
 from .instance import Instance, Model, unpacked, warm
@@ -231,7 +232,7 @@ def fmu_plant(
     return plant
 
 
-def _branches(build: partial[FmuBox], can_go_back: bool, snapshot: str) -> Branches:
+def _branches(build: partial[FmuBox], can_go_back: bool, snapshot: str) -> StateStore:
     if can_go_back:
         return Snapshots(build)
     return Replays(build) if snapshot == "cold" else Forks(build, warm)

@@ -1,6 +1,6 @@
 """One instance of an FMU for co-simulation, stepped by compiled code through the addresses of its functions.
 
-For a whole device see `fmu`, for a controller in the turbine's circuit `fmu_controller`.
+For a whole device see `fmu.device`, for a controller in the turbine's circuit `controllers.fmu`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..states.guarded_memory import Stretch
-from ..states.stores import BoxLost
+from ..states.store import BoxLost
 from .archive import unpack
 from .variables import Contents, Group, Setting, laid_out, n_bytes
 from .versions import VERSIONS

@@ -18,13 +18,13 @@ from . import circuit
 
 @lru_cache(maxsize=64)
 def cached_network(p: TurbineParameters, source: Source, dt_s: float) -> Any:
-    """As `grey_circuit.network`, without a fault."""
+    """As `circuit.network`, without a fault."""
     return circuit.network(p, source, dt_s)
 
 
 @lru_cache(maxsize=4096)
 def cached_forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
-    """As `grey_circuit.forcing`, without a fault."""
+    """As `circuit.forcing`, without a fault."""
     return circuit.forcing(p, source, f_hz, dt_s)
 
 
@@ -32,7 +32,7 @@ def cached_forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: floa
 def cached_fault(
     p: TurbineParameters, source: Source, f_hz: float, dt_s: float, fault_s: tuple[float, float, float]
 ) -> tuple[Any, np.ndarray, Any]:
-    """As `grey_circuit.faulted`."""
+    """As `circuit.faulted`."""
     return circuit.faulted(p, source, f_hz, dt_s, fault_s)
 
 

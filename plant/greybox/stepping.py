@@ -1,6 +1,6 @@
 """The turbine's circuit stepped with a controller in it: states in hand, as far as the controller declares its own.
 
-Between two samples the circuit is advanced exactly (`grey_circuit`); the controller is called by its
+Between two samples the circuit is advanced exactly (`circuit`); the controller is called by its
 address from a compiled loop (`kernels.grey`). A state is put back before every job, so jobs may come in any
 order where the controller declares all that it remembers; else they must follow one another.
 """

@@ -11,6 +11,9 @@ Integrator: classical Runge-Kutta of order four.
 
 A *compensated* lane has a block between measurement and controller that tells the controller another
 voltage than the capacitor's (docs/damping.md); the circuit goes on with its own.
+
+This file stays whole: a cached kernel must call nothing outside its own file, because numba does not notice an edit
+elsewhere and would go on with the old machine code.
 """
 
 from __future__ import annotations

@@ -12,6 +12,11 @@ constant would cost percents (see docs/turbine.md).
 Each source comes plain and *compensated*. A compensated lane has a block between measurement and
 controller that tells the controller another voltage than the PCC's (docs/damping.md); the circuit
 goes on with the PCC's. The block knows v, i and its own four states, nothing of the controller.
+
+This file stays whole: a cached kernel must call nothing outside its own file, because numba does not notice an edit
+elsewhere and would go on with the old machine code. The four steps at its end write their Runge-Kutta stages
+out one by one: their states are tuples of different lengths, which numba types apart, and what a stage does
+between two evaluations (turning the PLL's phasor, the shunt, the block) differs in each.
 """
 
 from __future__ import annotations

@@ -15,6 +15,9 @@ fixed point, whatever the step. While a limit acts the step is of first order, b
 voltage foreseen without it; the limit itself is kept.
 
 Complex numbers are space vectors in the dq frame at w1 or, after ``* unit.conjugate()``, in the PLL's.
+
+This file stays whole: a cached kernel must call nothing outside its own file, because numba does not notice an edit
+elsewhere and would go on with the old machine code.
 """
 
 from __future__ import annotations

@@ -30,14 +30,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from .processes import adopt_orphans, die_with_parent, how_it_ended
+from .store import BRANCHED_FROM, Action, Way
 
 T = TypeVar("T")
 
 MOST_KEPT = 24
 """Positions kept as processes; the one that was not needed for longest goes first."""
-
-BRANCHED_FROM = 1
-"""Positions up to so many actions stay where they are: the cold start and, after one, the settled box."""
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -48,12 +46,6 @@ class BoxDied(Exception):
 
 class CannotFork(Exception):
     """This system, or this box, knows no snapshot by fork."""
-
-
-Action = Callable[[Any], Any]
-"""Something done with a box, a hashable value that can be pickled; it does the same every time."""
-
-Way = tuple[Action, ...]
 
 
 class Forks:

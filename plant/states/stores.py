@@ -1,6 +1,6 @@
-"""Two ways to branch a box within this process: by snapshots that it takes itself, or by going the way again.
+"""Two stores within this process: snapshots that the box takes itself, or going the way again; see `store`.
 
-The third, by fork, is `forked.Forks`.
+The third, by fork, is `forks.Forks`.
 """
 
 from __future__ import annotations
@@ -9,17 +9,13 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from .forks import BRANCHED_FROM, Action, Way
+from .store import BRANCHED_FROM, Action, BoxLost, Way
 
 SNAPSHOTS_KEPT = 128
 """One for each shot of the largest batch, and some to spare."""
 
 BOXES_KEPT = 4
 """Boxes that stand at different places; a shot and its reference go on without being replayed."""
-
-
-class BoxLost(RuntimeError):
-    """A box that is of no further use: another one must be built."""
 
 
 class SnapshotBox(Protocol):
@@ -47,10 +43,12 @@ class Snapshots:
     ----------
     build : callable
         Makes the box, when it is first needed and whenever it is lost.
+    most_kept : int
+        Positions kept at once; the one that was not needed for longest goes first.
     """
 
-    def __init__(self, build: Callable[[], SnapshotBox]):
-        self._build = build
+    def __init__(self, build: Callable[[], SnapshotBox], most_kept: int = SNAPSHOTS_KEPT):
+        self._build, self._most_kept = build, most_kept
         self._box: SnapshotBox | None = None
         self._kept: OrderedDict[Way, Any] = OrderedDict()
         self._stay: set[Way] = set()
@@ -86,7 +84,7 @@ class Snapshots:
         if way in self._kept:
             return
         self._kept[way] = box.save()
-        if len(self._kept) > SNAPSHOTS_KEPT:
+        if len(self._kept) > self._most_kept:
             self._let_go(next(iter(self._kept)), box)
 
     def _let_go(self, way: Way, box: SnapshotBox) -> None:

@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
-from seqsweep.plant.states import stores as branches
-from seqsweep.plant.states.stores import BoxLost, Snapshots
+from seqsweep.plant.states.store import BoxLost
+from seqsweep.plant.states.stores import Snapshots
 
 
 class Counter:
@@ -86,9 +86,9 @@ def test_a_position_that_is_asked_for_again_is_reached_once_more_and_stays():
     assert box.acted == before + 2 + 3  # the way there, once; then three answers
 
 
-def test_the_oldest_snapshot_goes_first_and_is_given_back(monkeypatch):
-    monkeypatch.setattr(branches, "SNAPSHOTS_KEPT", 8)
-    box, positions = made()
+def test_the_oldest_snapshot_goes_first_and_is_given_back():
+    box = Counter()
+    positions = Snapshots(lambda: box, most_kept=8)
     positions.act((), settle)
     for n in range(1, 50):
         positions.act(way(), adding(n))
