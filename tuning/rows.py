@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit.dq_data import DqData
-from ..identify.fit.local_rational import LocalRational, between_rows, local_rational
+from ..identify.fit.local_rational import LocalRational, between_rows, local_rational, sharpness
 from ..identify.fit.rational import RationalModel, evaluate
 from .feeding import Hole
 from .siso import Grid
 from .winding import Band, Winding, closed_locus, wound
 
 _PER_INTERVAL = np.array([0.25, 0.5, 0.75])  # where the locus is looked at first between two rows
+_SAME = 1e-12  # relative difference of frequencies that are one
 _NOISE = 4.0  # loci that differ by less than so many standard errors of the rows do not contradict each other
 
 
@@ -50,6 +51,17 @@ class Difference(NamedTuple):
 def rows_of(data: DqData) -> Rows:
     """Rows ready to be judged."""
     return Rows(data, local_rational(data))
+
+
+def believed(rows: Rows, model: RationalModel) -> Rows:
+    """The rows without those that the fit left out for disagreeing with their neighbours."""
+    data = rows.data
+    if len(data.nu_hz) == len(model.nu_hz):
+        return rows
+    kept = np.abs(data.nu_hz[:, None] - model.nu_hz).min(axis=1) < _SAME * data.nu_hz
+    std = None if data.std is None else data.std[kept]
+    covariance = None if data.covariance is None else data.covariance[kept]
+    return rows_of(DqData(data.nu_hz[kept], data.y[kept], std, covariance))
 
 
 def wind_rows(rows: Rows, grid: Grid, around_f1: RationalModel | None = None, hole: Hole | None = None) -> Winding:
@@ -92,7 +104,7 @@ def difference(rows: Rows, model: RationalModel, grid: Grid) -> Difference:
     by_rows = closed_locus(lambda f: between_rows(rows.local, f), grid, band)(at)
     by_fit = closed_locus(lambda f: evaluate(model, 2j * np.pi * f), grid, band)(at)
     apart = np.abs(by_rows - by_fit)
-    noise = _noise_of_locus(rows.data, model, grid, at)
+    noise = _noise_of_locus(rows.data, model, grid, at) * sharpness(rows.local, at)
     excess = np.where(apart > _NOISE * noise, apart / np.abs(by_fit), 0.0)
     relative = apart / np.abs(by_fit)
     k = int(np.argmax(excess if np.any(excess > 0.5) else relative))

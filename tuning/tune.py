@@ -22,7 +22,7 @@ from .grid_check import grid_warnings
 from .intervals import margin_interval, scale_interval
 from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
 from .result import PointTuning, TuningResult
-from .rows import Rows, rows_of
+from .rows import Rows, believed, rows_of
 from .siso import Grid, SeriesRL, check_fundamental
 from .verdict import Stability, judge, swept_band
 
@@ -142,7 +142,7 @@ def fitted(response: FrequencyResponse) -> Device:
     misfit = relative_misfit(model, response)
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
-    return Device(response, rows, anchor, model, problem)
+    return Device(response, believed(rows, model), anchor, model, problem)
 
 
 def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:

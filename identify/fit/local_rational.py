@@ -67,6 +67,14 @@ def between_rows(model: LocalRational, nu_hz: np.ndarray) -> np.ndarray:
     return (above / below[:, None]).reshape(-1, 2, 2)
 
 
+def sharpness(model: LocalRational, nu_hz: np.ndarray) -> np.ndarray:
+    """How many times (n,) the noise of the rows counts at ``nu_hz``: more than once near a zero of d."""
+    k = np.minimum(np.searchsorted(model.nu_hz, nu_hz), len(model.nu_hz) - 1)
+    powers = legvander((nu_hz - model.middle[k]) / model.half[k], model.denominator.shape[1] - 1)
+    below = np.abs(np.einsum("ni,ni->n", model.denominator[k], powers))
+    return np.asarray(np.abs(model.denominator[k]).sum(axis=1) / np.maximum(below, 1e-300))
+
+
 def _distinct(data: DqData) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (n,) and values (n, 4); rows at one place are averaged."""
     new = np.append(True, np.diff(data.nu_hz) > _ONE_PLACE * data.nu_hz[1:])

@@ -35,6 +35,7 @@ from .least_squares import Problem, Trial, refine, solve_residues, weighted
 from .order import drop_faint, drop_outliers, prune, select_order, settle_far_poles, settle_instability, thin_out_far
 from .partial_fractions import order_of, upper_half
 from .rational import RationalModel
+from .row_noise import leave_out_outliers, weighted_by_misfit
 from .vector_fit import vector_fit
 
 MIN_POINTS = 8
@@ -99,12 +100,16 @@ def fit_response(
         problem = weighted(data, noise_floor, part)._replace(n_unstable=known)
         trial = select_order(problem, max_order, start)
     trial = refine(problem, trial)
+    problem, trial, outlying = leave_out_outliers(problem, trial, max_order)
+    uneven = weighted_by_misfit(problem, trial)
+    if uneven is not None:
+        problem, trial = uneven, refine(uneven, select_order(uneven, max_order, None))
     problem, trial, notes = drop_outliers(problem, trial)
     trial = thin_out_far(problem, prune(problem, trial))
     trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_instability(problem, trial)
-    return finished(problem, response.f1_hz, trial, notes, removed + mirrored)
+    return finished(problem, response.f1_hz, trial, outlying + notes, removed + mirrored)
 
 
 def _proved(response: FrequencyResponse) -> int | None:

@@ -11,6 +11,7 @@ from .rational import RationalModel
 from .vector_fit import vector_fit
 
 _FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
+_UNPLACED = 0.5  # standard error of a far pole, in its size, from which on its place is not known
 _NEARBY = 5.0  # where a real pole that replaces a far pair is started, in bands
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
@@ -51,8 +52,10 @@ def with_pair(problem: Problem, trial: Trial) -> np.ndarray:
 def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple[str, ...]]:
     """Leave out rows that ask for a pole of their own, narrower than the distance of the rows, and that pole."""
     notes: tuple[str, ...] = ()
+    if trial.cost < floor_cost(problem):
+        return problem, trial, notes
     for _ in range(len(problem.s) // _OUTLIERS_PER_ROW):
-        tried = [_without_row(problem, trial, k) for k in _narrow(problem, trial.poles)]
+        tried = [_without_row(problem, trial, k) for k in narrow_poles(problem, trial.poles)]
         found = [(p, t) for p, t, pays in tried if pays]
         if not found:
             break
@@ -63,7 +66,7 @@ def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple
     return problem, trial, notes
 
 
-def _narrow(problem: Problem, poles: np.ndarray) -> np.ndarray:
+def narrow_poles(problem: Problem, poles: np.ndarray) -> np.ndarray:
     """Indices of pairs inside the band whose width is below the distance of the rows around them."""
     w = problem.s.imag
     above = np.clip(np.searchsorted(w, poles.imag), 1, len(w) - 1)
@@ -71,15 +74,20 @@ def _narrow(problem: Problem, poles: np.ndarray) -> np.ndarray:
     return np.flatnonzero(inside & (np.abs(poles.real) < w[above] - w[above - 1]))
 
 
+def without_rows(problem: Problem, rows: np.ndarray) -> Problem:
+    """The problem with some rows left out."""
+    return problem._replace(
+        s=np.delete(problem.s, rows),
+        y=np.delete(problem.y, rows, axis=1),
+        weight=np.delete(problem.weight, rows, axis=1),
+        noise=None if problem.noise is None else np.delete(problem.noise, rows, axis=0),
+    )
+
+
 def _without_row(problem: Problem, trial: Trial, k: int) -> tuple[Problem, Trial, bool]:
     """Pole k and the row next to it left out; whether the other rows do not miss the pole, and the row stands apart."""
     row = int(np.argmin(np.abs(problem.s.imag - trial.poles[k].imag)))
-    rest = problem._replace(
-        s=np.delete(problem.s, row),
-        y=np.delete(problem.y, row, axis=1),
-        weight=np.delete(problem.weight, row, axis=1),
-        noise=None if problem.noise is None else np.delete(problem.noise, row, axis=0),
-    )
+    rest = without_rows(problem, np.array([row]))
     with_pole = refine(rest, trial_at(rest, trial.poles, trial.tail))
     without = refine(rest, trial_at(rest, np.delete(trial.poles, k), trial.tail))
     coefficients = solve_residues(rest, without.poles, without.tail).coefficients
@@ -110,12 +118,15 @@ def _reductions(problem: Problem, trial: Trial) -> list[tuple[np.ndarray, int]]:
 
 
 def thin_out_far(problem: Problem, trial: Trial) -> Trial:
-    """Pairs outside the band give way to one real pole each where the BIC does not suffer.
+    """Pairs outside the band whose place is not known give way to one real pole each where the BIC does not suffer.
 
     Far away the data know a few terms of a power series, and several poles share them: their places, and with them the
     errors of everything else, are then a matter of rounding.
     """
-    for pole in trial.poles[_is_far(problem, trial.poles) & (trial.poles.imag > 0.0)]:
+    far = np.flatnonzero(_is_far(problem, trial.poles) & (trial.poles.imag > 0.0))
+    if len(far):
+        far = far[pole_std(problem, trial)[far] > _UNPLACED * np.abs(trial.poles[far])]
+    for pole in trial.poles[far]:
         k = int(np.argmin(np.abs(trial.poles - pole)))
         single = -min(abs(pole), _NEARBY * abs(problem.s[-1])) + 0j
         thinner = refine(problem, trial_at(problem, np.append(single, np.delete(trial.poles, k)), trial.tail))
