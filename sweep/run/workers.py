@@ -5,11 +5,12 @@ Only this module knows joblib, with the one that identifies recordings.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...plant.errors import SeqsweepError
 from ...plant.protocol import Plant
@@ -80,34 +81,77 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
 def _parallel(
     plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], workers: Workers
 ) -> Iterator[tuple[str, BatchResult]]:
-    from joblib import Parallel, delayed, parallel_config
+    from joblib import delayed, parallel_config
 
     jobs, backend = workers.jobs, workers.backend_for(plan, plant)
-    cluster = _dask_client(jobs, workers.scheduler) if backend == "dask" else nullcontext()
-    with cluster, _worker(plan, plant, jobs, backend) as work, parallel_config(backend=backend, n_jobs=jobs):
-        pool = Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
-        yield from pool(delayed(work)(batch) for batch in batches)
+    if backend == "dask":
+        yield from _on_cluster(plan, batches, workers)
+        return
+    with _worker(plan, plant, jobs, backend) as work, parallel_config(backend=backend, n_jobs=jobs):
+        yield from _pool()(delayed(work)(batch) for batch in batches)
+
+
+def _pool() -> Any:
+    from joblib import Parallel
+
+    return Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
+
+
+def _on_cluster(plan: Plan, batches: Sequence[Batch], workers: Workers) -> Iterator[tuple[str, BatchResult]]:
+    """Batches on a dask cluster; a scheduler that goes is a failure of the machine, and what was measured is kept.
+
+    joblib takes a cluster of one slot for no cluster at all and would work in this process: such a one is asked
+    without joblib.
+    """
+    from asyncio import CancelledError as Cancelled
+    from concurrent.futures import CancelledError
+
+    from distributed.client import FutureCancelledError
+    from distributed.comm.core import CommClosedError
+    from joblib import delayed, parallel_config
+
+    work = partial(_in_process, plan.hosting)
+    with _dask_client(workers.jobs, workers.scheduler) as client:
+        try:
+            if sum(client.nthreads().values()) == 1:
+                yield from _one_by_one(client, work, batches)
+            else:
+                with parallel_config(backend="dask", n_jobs=workers.jobs):
+                    yield from _pool()(delayed(work)(batch) for batch in batches)
+        except (CommClosedError, FutureCancelledError, CancelledError, Cancelled) as error:
+            raise OSError(f"the dask scheduler at {client.scheduler.address} is gone: {error or 'no answer'}") from None
+
+
+def _one_by_one(
+    client: Any, work: Callable[[Batch], Any], batches: Sequence[Batch]
+) -> Iterator[tuple[str, BatchResult]]:
+    from distributed import as_completed
+
+    for future in as_completed([client.submit(work, batch, pure=False) for batch in batches]):
+        yield future.result()
 
 
 @contextmanager
-def _dask_client(jobs: int, scheduler: str | None) -> Iterator[None]:
+def _dask_client(jobs: int, scheduler: str | None) -> Iterator[Any]:
     """A client of the scheduler, or of a cluster of our own with ``jobs`` processes."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise RunError("backend dask needs the extra: pip install 'seqsweep[dask]'") from None
+    logging.disable(logging.CRITICAL)  # a cluster that goes logs tracebacks from its own threads; here it is one line
     if scheduler is not None:
         try:
-            with Client(scheduler, timeout="10s", set_as_default=True):
-                yield
-        except (OSError, TimeoutError) as error:
+            client = Client(scheduler, timeout="10s", set_as_default=True)
+        except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"no dask scheduler answers at {scheduler}: {error}") from None
+        with client:
+            yield client
         return
     with (
         LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
-        Client(cluster, set_as_default=True),
+        Client(cluster, set_as_default=True) as client,
     ):
-        yield
+        yield client
 
 
 @contextmanager
@@ -117,8 +161,6 @@ def _worker(
     """The task of a batch: threads share a host, processes make their own."""
     if backend == "loky":
         yield partial(_in_child, plan.hosting)
-    elif backend == "dask":
-        yield partial(_in_process, plan.hosting)
     else:
         with host_at_hand(plant, plan.hosting).measuring(jobs) as measure:
             yield lambda batch: (batch.key, measure(batch))

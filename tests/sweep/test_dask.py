@@ -1,0 +1,76 @@
+"""A dask scheduler of its own, in processes of its own: with one slot, and killed while it works."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from ..support.commands import call, campaign, shards_of, slow_campaign, start, wait_for
+
+pytest.importorskip("distributed")
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A scheduler and one worker with one slot, each a process; its address."""
+    address = tmp_path / "address.json"
+    common = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    options = ["--no-dashboard", "--scheduler-file", str(address)]
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *options],
+        **common,
+    )
+    wait_for(lambda: address.exists() and address.stat().st_size > 0)
+    worker = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", *options], **common
+    )
+    yield scheduler, _address(address)
+    for process in (worker, scheduler):
+        process.kill()
+        process.wait()
+
+
+def _address(path):
+    import json
+
+    for _ in range(100):
+        try:
+            return json.loads(path.read_text())["address"]
+        except ValueError:
+            time.sleep(0.1)
+    raise AssertionError("the scheduler wrote no address")
+
+
+def test_a_cluster_of_one_slot_does_the_work_itself(tmp_path, cluster):
+    """The plant says in which process it was; joblib alone would have worked in the runner."""
+    _, address = cluster
+    done = call("run", campaign(tmp_path), "-o", tmp_path / "y.parquet", "--backend", "dask", "--scheduler", address)
+    assert done.returncode == 0, done.stderr
+    here = call("run", campaign(tmp_path), "-o", tmp_path / "here.parquet")
+    assert here.returncode == 0
+    assert (tmp_path / "y.parquet").read_bytes() == (tmp_path / "here.parquet").read_bytes()
+
+
+def test_a_scheduler_that_is_killed_ends_in_one_line_and_the_work_is_kept(tmp_path, cluster):
+    scheduler, address = cluster
+    file = slow_campaign(tmp_path)
+    out = tmp_path / "y.parquet"
+    runner = start("run", file, "-o", out, "--backend", "dask", "--scheduler", address)
+    wait_for(lambda: len(list(shards_of(out))) > 0, 60.0)
+    scheduler.send_signal(signal.SIGKILL)
+    _, said = runner.communicate(timeout=120)
+    assert runner.returncode == 4, said
+    assert "the dask scheduler" in said
+    assert "Traceback" not in said
+    assert list(shards_of(out))
+
+
+def test_a_scheduler_that_does_not_answer_is_wrong_input(tmp_path):
+    address = ["--scheduler", "tcp://127.0.0.1:1"]
+    done = call("run", campaign(tmp_path), "-o", tmp_path / "y.parquet", "--backend", "dask", *address)
+    assert done.returncode == 2
+    assert "no dask scheduler answers" in done.stderr
