@@ -42,6 +42,8 @@ class BankEntry:
         Rows, where a Parquet file held many.
     parameters : mapping
         What the family varied, by "element.key".
+    problem : str
+        Why it cannot be opened, where that is known already.
     """
 
     grid_id: str
@@ -49,6 +51,7 @@ class BankEntry:
     document: Mapping[str, Any] | None = None
     table: ZTable | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    problem: str = ""
 
     def open(self, f1_hz: float) -> Grid | RegionGrid:
         """The grid.
@@ -58,6 +61,8 @@ class BankEntry:
         SeqsweepError
             If it is none.
         """
+        if self.problem:
+            raise GridError(self.problem)
         if self.document is not None:
             return grid_of_document(self.document, f1_hz, self.grid_id, self.grid_id)
         if self.table is not None:
@@ -100,8 +105,9 @@ def _of_folder(path: Path) -> Iterator[BankEntry]:
             if file.suffix.lower() == ".toml" and "family" in (document := read_document(file)):
                 yield from (_renamed(entry, f"{name}#{entry.grid_id}") for entry in family(document, name))
                 continue
-        except GridError:
-            pass  # it gets a row of its own, with the reason
+        except GridError as error:
+            yield BankEntry(name, str(file), problem=str(error))
+            continue
         yield BankEntry(name, str(file))
 
 
@@ -174,8 +180,8 @@ def family(document: Mapping[str, Any], place: str) -> Iterator[BankEntry]:
         choices: Any = itertools.product(*(values for *_, values in varied))
         count = int(np.prod([len(values) for *_, values in varied]))
     elif combine == "random":
-        count = int(rules.get("count", 100))
-        choices = _drawn(base, varied, count, int(rules.get("seed", 1)))
+        count = _whole(rules.get("count", 100), f"{place}: [family] count")
+        choices = _drawn(base, varied, count, _whole(rules.get("seed", 1), f"{place}: [family] seed"))
     else:
         raise GridError(f"{place}: combine = {combine!r}; known are 'all' and 'random'")
     if not 0 < count <= MOST_MEMBERS:
@@ -187,7 +193,10 @@ def family(document: Mapping[str, Any], place: str) -> Iterator[BankEntry]:
 def _varied(base: Mapping[str, Any], place: str) -> Iterator[tuple[int, str, str, list[Any]]]:
     """(number of the element, its name, key, values) of everything that is varied."""
     counts: dict[str, int] = {}
-    for k, entry in enumerate(base.get("element", ())):
+    entries = base.get("element", ())
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise GridError(f"{place}: needed is a list of [[element]]")
+    for k, entry in enumerate(entries):
         kind = str(entry.get("kind"))
         counts[kind] = counts.get(kind, 0) + 1
         name = str(entry.get("name", f"{kind}{counts[kind]}"))
@@ -205,7 +214,8 @@ def _range(value: Mapping[str, Any], place: str) -> list[float]:
     unknown = [key for key in value if key not in RANGE_KEYS]
     if unknown or "from" not in value or "to" not in value:
         raise GridError(f"{place}: a range has from, to, steps and spacing ('linear' or 'log')")
-    low, high, steps = float(value["from"]), float(value["to"]), int(value.get("steps", 5))
+    low, high = _real(value["from"], f"{place}.from"), _real(value["to"], f"{place}.to")
+    steps = _whole(value.get("steps", 5), f"{place}.steps")
     if steps < 1 or value.get("spacing", "linear") not in ("linear", "log"):
         raise GridError(f"{place}: steps = {steps}, spacing = {value.get('spacing')!r}")
     if value.get("spacing") == "log":
@@ -213,6 +223,20 @@ def _range(value: Mapping[str, Any], place: str) -> list[float]:
             raise GridError(f"{place}: a logarithmic range begins above 0")
         return [float(x) for x in np.geomspace(low, high, steps)]
     return [float(x) for x in np.linspace(low, high, steps)]
+
+
+def _whole(value: Any, place: str) -> int:
+    """A whole number, not negative."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise GridError(f"{place} = {value!r}; needed is a whole number")
+    return value
+
+
+def _real(value: Any, place: str) -> float:
+    """A finite number."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+        raise GridError(f"{place} = {value!r}; needed is a number")
+    return float(value)
 
 
 def _drawn(

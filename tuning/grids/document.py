@@ -131,6 +131,8 @@ def _nodes(entry: Mapping[str, Any], kind: Kind, node: str, k: int, last: bool) 
         return at, GROUND, node
     a = str(entry.get("from", node))
     b = str(entry.get("to", SOURCE if last else f"n{k + 1}"))
+    if a == b:
+        raise GridError(f"element {k + 1} ({entry['kind']}): it begins and ends at {a!r}")
     return a, b, b
 
 

@@ -144,8 +144,8 @@ def _corners(entry: Mapping[str, Any]) -> np.ndarray:
 
 def _member(given: Any, regions: Sequence[Region], f1_hz: float, name: str) -> Grid:
     """The member that is given, or a passive grid through the middles of the regions."""
-    if isinstance(given, Mapping):
-        return SeriesRL(float(given.get("r_ohm", 0.0)), float(given.get("x_ohm", np.nan)), f1_hz)
+    if given is not None:
+        return _given_member(given, f1_hz)
     f = np.array([np.sqrt(max(r.f_min_hz, 0.1 * f1_hz) * r.f_max_hz) for r in regions])
     z = np.array([r.corners.mean() for r in regions])
     w = 2.0 * np.pi * f
@@ -159,6 +159,13 @@ def _member(given: Any, regions: Sequence[Region], f1_hz: float, name: str) -> G
     order = np.argsort(rows[:, 0].real)
     fitted: RationalGrid = grid_of_table(ZTable(rows[order, 0].real, rows[order, 1]), f1_hz, name)
     return fitted
+
+
+def _given_member(given: Any, f1_hz: float) -> SeriesRL:
+    try:
+        return SeriesRL(float(given.get("r_ohm", 0.0)), float(given["x_ohm"]), f1_hz)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise GridError(f"[member]: {error}; needed are r_ohm and x_ohm, numbers in ohm at f1") from None
 
 
 def _middle_row(region: Region, f_hz: float) -> tuple[float, complex]:

@@ -170,3 +170,28 @@ def test_an_empty_bank_and_a_missing_one_are_refused(tmp_path: Path) -> None:
         bank_of(tmp_path)
     with pytest.raises(GridError, match="no such file"):
         bank_of(tmp_path / "nothing")
+
+
+SPOILT = {
+    "text.toml": 'kind = "series"\nr_ohm = "a"\nx_ohm = 1',
+    "infinite.toml": 'kind = "series"\nr_ohm = inf\nx_ohm = 1',
+    "number.toml": "kind = 3",
+    "loop.toml": 'kind = "series"\nx_ohm = 1\nfrom = "pcc"\nto = "pcc"',
+    "sections.toml": 'kind = "line"\nsections = 2.5\nlength_km = 5\nr_ohm_per_km = 0.1\nx_ohm_per_km = 0.1',
+    "transformer.toml": 'kind = "transformer"\nsn_mva = 0\nvn_hv_kv = 1\nvn_lv_kv = 1\nvk_percent = 0',
+}
+
+
+def test_no_spoilt_file_raises_anything_but_a_refusal_in_its_own_row(tmp_path: Path, device: Device) -> None:
+    junk = np.random.default_rng(0).integers(0, 256, 2000, dtype=np.uint8).tobytes()
+    for suffix in ("csv", "mat", "s1p", "parquet", "json", "toml"):
+        (tmp_path / f"junk.{suffix}").write_bytes(junk)
+        (tmp_path / f"empty.{suffix}").write_bytes(b"")
+    for name, text in SPOILT.items():
+        (tmp_path / name).write_text(f"[[element]]\n{text}\n")
+    (tmp_path / "region.toml").write_text('[[region]]\norder = 1\npoints = [[0, 1]]\n[member]\nr_ohm = "x"\n')
+    (tmp_path / "family.toml").write_text('[family]\ncount = "x"\ncombine = "random"\n[[element]]\nx_ohm = [1]\n')
+    verdicts = [judge_pair(device, entry, BASES) for entry in bank_of(tmp_path)]
+    assert len(verdicts) == 12 + len(SPOILT) + 2
+    assert {v.status for v in verdicts} == {"failed"}
+    assert all(v.reason for v in verdicts)
