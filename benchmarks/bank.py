@@ -16,7 +16,7 @@ import numpy as np
 
 from seqsweep.identify.fit.model import MIN_POINTS
 from seqsweep.sweep.config.sections import load_config
-from seqsweep.sweep.plan import make_plan
+from seqsweep.sweep.planning import make_plan
 from seqsweep.sweep.run.campaign import run
 from seqsweep.sweep.run.host import plant_or_card
 from seqsweep.tuning.bank.entries import bank_of

@@ -305,6 +305,31 @@ def test_an_interrupted_sweep_hands_over_what_it_has():
     assert np.array_equal(partial.y, whole.y[np.isin(whole.f_hz, partial.f_hz)])
 
 
+def test_progress_in_a_notebook_is_one_line_that_changes(monkeypatch):
+    """Stand-ins for IPython: what is shown first, what replaces it, and that nothing is left."""
+    from types import SimpleNamespace
+
+    from seqsweep.sweep.cli import progress
+
+    texts = []
+    handle = SimpleNamespace(update=lambda data, raw: texts.append(data["text/plain"]))
+
+    def display(data, raw, display_id):
+        texts.append(data["text/plain"])
+        return handle
+
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=1)))
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=display))
+    monkeypatch.setattr(progress, "QUIET_S", 0.0)
+    monkeypatch.setattr(progress, "REDRAWN_S", 0.0)
+    with progress.progress() as report:
+        report(0, 10, 0.0)
+        report(5, 10, 0.5)
+    assert texts[0] == "0/10 points"
+    assert texts[1].startswith("5/10 points, about 0 s left")
+    assert texts[-1] == ""
+
+
 # The type itself
 
 
