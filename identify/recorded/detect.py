@@ -47,6 +47,9 @@ LEAST_QUIET_S = 0.2
 """Shortest stretch before the first tone whose lines are looked at (s)."""
 
 MOST_TONES = 400
+LASTS, RESTLESS = 1.5, 2.0
+"""Frames that an experiment must last, and that a change may last before it is worth a word."""
+
 MARGIN = 1.0 / 12.0
 """Part of a frame that is left out next to an edge."""
 
@@ -103,7 +106,7 @@ def survey(waveforms: Waveforms) -> Survey:
     if sum(each.stretch.stop - each.stretch.start for each in seen if len(each.f_hz)) < 0.5 * n:
         finer = _frames(waveforms, max(length_s / FINER, FRAME_S[0]))
         other = _lines_of_stretches(waveforms, finer)
-        if _loud_samples(other) > 1.2 * _loud_samples(seen):
+        if sum(len(each.f_hz) > 0 for each in other) > sum(len(each.f_hz) > 0 for each in seen):
             seen, frames = other, finer
     if not _loud_samples(seen):
         seen = _multisine(waveforms, frames)
@@ -205,7 +208,20 @@ def _sorted_out(waveforms: Waveforms, seen: list[_Seen], frames: Frames) -> Surv
         start, stop = _inside(waveforms, each.stretch, edges(waveforms, each.stretch, tones[:8], frames), frames)
         unused += [f"{word}{_when(waveforms, start, stop)}" for word in words]
         found += [Found(start, stop, float(f), quiet) for f in tones]
-    return Survey(tuple(found), tuple(unused))
+    return Survey(tuple(found), (*unused, *_restless(waveforms, seen, frames)))
+
+
+def _restless(waveforms: Waveforms, seen: list[_Seen], frames: Frames) -> list[str]:
+    """Where something changes all the time for longer than an edge takes, in words."""
+    stops = [0, *(each.stretch.stop for each in seen)]
+    starts = [*(each.stretch.start for each in seen), waveforms.n_samples]
+    length_s = frames.n * frames.dt_s
+    return [
+        f"not used:{_when(waveforms, stop, start)} nothing lasts; an experiment is found where it lasts "
+        f"{LASTS * length_s:.2g} s without a change: record longer, or tell of it with --manifest"
+        for stop, start in zip(stops, starts, strict=True)
+        if seen and start - stop > RESTLESS * frames.n
+    ]
 
 
 def _inside(waveforms: Waveforms, stretch: Stretch, on: Stretch, frames: Frames) -> Stretch:
