@@ -10,6 +10,8 @@ change. What lies between two changes is a stretch.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +40,9 @@ white noise of unit variance per component lie below sqrt(-2 ln 0.8)."""
 NEIGHBOURS = 128
 OTHER = 0.3
 """Phasors that differ by more than this part from those of the middle, their size apart, are not the tones alone."""
+
+PORTION = 1 << 17
+"""Samples read at a time."""
 
 STEPS = 8
 """An edge is looked for in steps of this part of a frame."""
@@ -77,22 +82,37 @@ class Stretch(NamedTuple):
 
 def spectrum(v: np.ndarray, f1_hz: float, dt_s: float) -> Spectrum:
     """Spectrum (Hann) of a space vector (n,) without fundamental, mirror and offset."""
-    n = len(v)
-    window = np.hanning(n)
-    size = np.abs(np.fft.fft(without_fundamental(v, f1_hz, dt_s) * window)) / np.sum(window)
+    plan = _plan(len(v), f1_hz, dt_s)
+    size = np.abs(np.fft.fft(without_fundamental(v, f1_hz, dt_s) * plan.window)) / np.sum(plan.window)
     floor = STRONGER * ABOVE_NOISE * noise_floor(size) + 1e-7 * float(np.max(np.abs(v)))
-    for line in (f1_hz, -f1_hz, 0.0):
-        floor[np.abs(np.fft.fftfreq(n, dt_s) - line) * n * dt_s < NEXT_TO_F1] = np.inf
-    return Spectrum(size, floor)
+    return Spectrum(size, np.where(plan.next_to_f1, np.inf, floor))
 
 
 def without_fundamental(v: np.ndarray, f1_hz: float, dt_s: float) -> np.ndarray:
     """What is left of a space vector (n,) without a fundamental that drifts quadratically, its mirror and an offset."""
-    n = len(v)
+    plan = _plan(len(v), f1_hz, dt_s)
+    return taken_off(v, plan.basis, plan.inverse_gram)[0]
+
+
+class _Plan(NamedTuple):
+    """What every frame of n samples needs: the taper, what a fundamental can be (5, n), the inverse of its Gram matrix,
+    and which bins are next to it.
+    """
+
+    window: np.ndarray
+    basis: np.ndarray
+    inverse_gram: np.ndarray
+    next_to_f1: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def _plan(n: int, f1_hz: float, dt_s: float) -> _Plan:
     t = (np.arange(n) - 0.5 * (n - 1)) / n
     turn = np.exp(2j * np.pi * f1_hz * dt_s * n * t)
-    q, _ = np.linalg.qr(np.stack([turn, turn * t, turn * t**2, turn.conj(), np.ones(n)], axis=1))
-    return taken_off(v, np.ascontiguousarray(q.T), np.eye(5))[0]
+    basis = np.array([turn, turn * t, turn * t**2, turn.conj(), np.ones(n)])
+    inverse_gram = np.linalg.inv(np.einsum("kn,jn->kj", basis.conj(), basis))
+    bins = [np.abs(np.fft.fftfreq(n, dt_s) - line) * n * dt_s for line in (f1_hz, -f1_hz, 0.0)]
+    return _Plan(np.hanning(n), basis, inverse_gram, np.min(bins, axis=0) < NEXT_TO_F1)
 
 
 def noise_floor(size: np.ndarray) -> np.ndarray:
@@ -101,7 +121,8 @@ def noise_floor(size: np.ndarray) -> np.ndarray:
     """
     n = len(size)
     width = min(NEIGHBOURS, n)
-    low = np.quantile(size[: n // width * width].reshape(-1, width), QUANTILE, axis=1)
+    place = int(QUANTILE * (width - 1))
+    low = np.partition(size[: n // width * width].reshape(-1, width), place, axis=1)[:, place]
     low = np.max([low, np.roll(low, 1), np.roll(low, -1)], axis=0)
     return np.asarray(low[np.minimum(np.arange(n) // width, len(low) - 1)] * (2.0 * np.log(2.0)) ** 0.5 / RAYLEIGH)
 
@@ -121,8 +142,8 @@ def steady_stretches(waveforms: Waveforms, frames: Frames) -> list[Stretch]:
     n, hop = waveforms.n_samples, frames.hop
     last: deque[Spectrum] = deque(maxlen=OVERLAP + 1)
     changed: list[bool] = []
-    for start in range(0, n - frames.n + 1, hop):
-        last.append(spectrum(voltage(waveforms, start, start + frames.n), frames.f1_hz, frames.dt_s))
+    for v in _frames_of(waveforms, frames):
+        last.append(spectrum(v, frames.f1_hz, frames.dt_s))
         if len(last) > OVERLAP:
             changed.append(_differ(last[0], last[-1]))
     edges = np.flatnonzero(np.diff(np.concatenate([[True], np.array(changed, dtype=bool), [True]]).astype(np.int8)))
@@ -133,6 +154,17 @@ def steady_stretches(waveforms: Waveforms, frames: Frames) -> list[Stretch]:
         if stop - start >= frames.n // 2:
             found.append(Stretch(int(start), int(stop)))
     return found if changed else [Stretch(0, n)]
+
+
+def _frames_of(waveforms: Waveforms, frames: Frames) -> Iterator[np.ndarray]:
+    """Voltage (n,) of one frame after another, read in portions of many."""
+    n, hop = waveforms.n_samples, frames.hop
+    together = max(1, PORTION // hop)
+    starts = range(0, n - frames.n + 1, hop)
+    for first in range(0, len(starts), together):
+        mine = starts[first : first + together]
+        v = voltage(waveforms, mine[0], mine[-1] + frames.n)
+        yield from (v[start - mine[0] : start - mine[0] + frames.n] for start in mine)
 
 
 def _differ(before: Spectrum, after: Spectrum) -> bool:
@@ -165,14 +197,21 @@ def edges(waveforms: Waveforms, stretch: Stretch, tones_hz: np.ndarray, frames: 
 
 def _edge(waveforms: Waveforms, stretch: Stretch, tones_hz: np.ndarray, frames: Frames, way: int) -> int:
     n, last = frames.n, waveforms.n_samples - frames.n
-    full = _phasors(waveforms, min(max((stretch.start + stretch.stop - n) // 2, 0), last), tones_hz, frames)
+    middle = min(max((stretch.start + stretch.stop - n) // 2, 0), last)
+    full = _phasors(voltage(waveforms, middle, middle + n), middle, tones_hz, frames)
     at = min(max(stretch.start if way < 0 else stretch.stop - n, 0), last)
-    level, _ = _part(full, _phasors(waveforms, at, tones_hz, frames))
+    begin, end = max(0, min(at, at + way * 3 * n)), min(waveforms.n_samples, max(at, at + way * 3 * n) + n)
+    around = voltage(waveforms, begin, end)
+
+    def part_at(start: int) -> tuple[float, float]:
+        return _part(full, _phasors(around[start - begin : start - begin + n], start, tones_hz, frames))
+
+    level, _ = part_at(at)
     for _ in range(3 * STEPS):
-        beyond = min(max(at + way * max(1, n // STEPS), 0), last)
+        beyond = min(max(at + way * max(1, n // STEPS), begin), end - n)
         if beyond == at:
             break
-        part, other = _part(full, _phasors(waveforms, beyond, tones_hz, frames))
+        part, other = part_at(beyond)
         if other > OTHER:
             return round(at + (0.5 + way * 0.25) * n)
         if part < 0.5 <= level:
@@ -189,11 +228,16 @@ def _part(full: np.ndarray, now: np.ndarray) -> tuple[float, float]:
     return part, float(np.median(np.abs(ratio - part)))
 
 
-def _phasors(waveforms: Waveforms, start: int, tones_hz: np.ndarray, frames: Frames) -> np.ndarray:
-    """Phasors (k,) of the tones in a frame, phase zero at the beginning of the record."""
-    rest = without_fundamental(voltage(waveforms, start, start + frames.n), frames.f1_hz, frames.dt_s)
-    turns = np.exp(-2j * np.pi * frames.dt_s * np.outer(tones_hz, start + np.arange(frames.n)))
-    return np.asarray(np.einsum("kn,n->k", turns, rest * np.hanning(frames.n)))
+def _phasors(v: np.ndarray, start: int, tones_hz: np.ndarray, frames: Frames) -> np.ndarray:
+    """Phasors (k,) of the tones in a frame that begins at a sample, phase zero at the beginning of the record."""
+    rest = without_fundamental(v, frames.f1_hz, frames.dt_s) * _plan(frames.n, frames.f1_hz, frames.dt_s).window
+    local = np.einsum("kn,n->k", _turns(frames, tuple(tones_hz)), rest)
+    return np.asarray(local * np.exp(-2j * np.pi * frames.dt_s * start * tones_hz))
+
+
+@lru_cache(maxsize=2)
+def _turns(frames: Frames, tones_hz: tuple[float, ...]) -> np.ndarray:
+    return np.asarray(np.exp(-2j * np.pi * frames.dt_s * np.outer(tones_hz, np.arange(frames.n))))
 
 
 def _filled(level: float) -> float:
