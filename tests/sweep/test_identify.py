@@ -419,3 +419,36 @@ def test_a_reversed_current_transformer_is_named_and_the_admittance_right(tmp_pa
     response, said = identified(tmp_path, tmp_path / "a.cfg", tmp_path / "b.cfg", "--direction", "load")
     assert errors(response, device).max() < 1e-5
     assert "a.cfg: Ib is recorded with the opposite sign (a reversed transformer): turned" in said
+
+
+# Units and direction
+
+
+def test_power_into_the_device_is_said_with_the_direction_that_would_explain_it(tmp_path):
+    """The branch is a load: counted as a generator's its current would deliver power, which is nothing to say."""
+    write(tmp_path, (77.0,))
+    out = tmp_path / "y.parquet"
+    load, generator = (
+        call("identify", tmp_path, "-o", out, "--direction", direction, "--force", "--jobs", "1").stderr
+        for direction in ("load", "generator")
+    )
+    assert "MW when its current counts as --direction load says; if it generates" in load
+    assert "--direction generator" in load
+    assert "takes up" not in generator
+
+
+def test_units_are_told_where_the_files_do_not(tmp_path):
+    for k, at in enumerate(both(77.0)):
+        stretch = branch((at,), length_s=2.0)
+        samples = files.six(Stretch(stretch.v / 1e3, stretch.i / 1e3))
+        files.text(tmp_path / f"{k}.csv", samples, heads=list(files.NAMES))
+    arguments = ["identify", tmp_path, "-o", tmp_path / "y.parquet", "--direction", "load", "--jobs", "1"]
+    rating = ["--rated-voltage-v", "690", "--rated-power-va", "1.632e6"]
+    refused = call(*arguments, *rating)
+    assert refused.returncode == 2
+    assert "its numbers as kV would be" in refused.stderr
+    done = call(*arguments, *rating, "--voltage-unit", "kV", "--current-unit", "kA")
+    assert done.returncode == 0, done.stderr
+    response = read_table(tmp_path / "y.parquet").responses[0]
+    truth = np.array([branch_matrix(f) for f in response.f_hz])
+    assert relative_norms(response.y - truth, truth).max() < 1e-4
