@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import warnings
 from collections.abc import Mapping
@@ -158,10 +159,12 @@ def _of_touchstone(path: Path) -> ZTable:
     from ...identify.exchange.facts import extra
 
     skrf = extra("skrf", "scikit-rf")
+    stream = io.StringIO(path.read_bytes().decode("latin-1"))  # a file of its own it leaves open where its parser fails
+    stream.name = path.name.lower()
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            network = skrf.Network(str(path))
+            network = skrf.Network(stream)
     except Exception as error:  # it raises whatever its parser met
         raise GridError(f"{path}: scikit-rf cannot read it: {str(error)[:200]}") from None
     if network.nports != 1:
