@@ -91,9 +91,9 @@ def run(
         raise WrongInput(f"--backend {backend!r}: known are threading, loky and dask")
     if scheduler is not None and backend != "dask":
         raise WrongInput("--scheduler goes with --backend dask")
+    check_new(output, force)
     if output.suffix.lower() != ".parquet":
         raise WrongInput(f"{output}: the table is Parquet, name it .parquet; seqsweep export makes .csv or .mat of it")
-    check_new(output, force)
     config = config_of(campaign, settings)
     if config.sweep.operating_points is not None:
         _run_region(config, output, Running(jobs, backend, scheduler), force)
