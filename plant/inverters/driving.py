@@ -9,7 +9,7 @@ import cmath
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import pi
+from math import isfinite, pi
 from typing import Any
 
 import numpy as np
@@ -67,9 +67,15 @@ class LaneDriven(ABC):
     parameters: Any
     compensation: Compensation
 
-    @abstractmethod
+    _kernel: str
+
     def _advance(self, port: bool) -> Callable[..., None]:
         """The kernel for this device, with a block at its measurement port or without."""
+        from ..kernels import inverters as kernel
+
+        linked = "_linked" if isfinite(self.parameters.c_dc_s) else ""
+        found: Callable[..., None] = getattr(kernel, f"advance_{self._kernel}{linked}{'_compensated' if port else ''}")
+        return found
 
     @abstractmethod
     def _synchronisation(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from . import equilibrium as stationary
@@ -28,10 +26,7 @@ class GridFollowing(Inverter):
 
         values[kernel.DELTA] += angle_rad
 
-    def _advance(self, port: bool) -> Callable[..., None]:
-        from ..kernels import inverters as kernel
-
-        return kernel.advance_following_compensated if port else kernel.advance_following
+    _kernel = "following"
 
     def _synchronisation(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from ..kernels import inverters as kernel

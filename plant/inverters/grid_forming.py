@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from . import equilibrium as stationary
@@ -33,10 +31,7 @@ class GridForming(Inverter):
         values[kernel.THETA] += angle_rad
         values[kernel.THETA_P] += angle_rad
 
-    def _advance(self, port: bool) -> Callable[..., None]:
-        from ..kernels import inverters as kernel
-
-        return kernel.advance_forming_compensated if port else kernel.advance_forming
+    _kernel = "forming"
 
     def _synchronisation(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from ..kernels import inverters as kernel

@@ -52,8 +52,9 @@ N_TONE_SLOTS = 4
 # Blackman taper as a0 + a1 c + a2 c^2 with the cosine c of the taper's phase.
 TAPER_0, TAPER_1, TAPER_2 = 0.42 - 0.08, -0.5, 2.0 * 0.08
 
-# Whether there is a block at the measurement port: tuples, whose lengths the compiler knows; no test is left.
-PLAIN, COMPENSATED = (), (True,)
+# Whether there is a block at the measurement port, or a DC link that moves: tuples, whose lengths the compiler knows,
+# so that no test is left in the code.
+ABSENT, PRESENT = (), (True,)
 
 # No "nnan" and no "ninf": a diverged lane must be seen.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -147,28 +148,35 @@ def _put(x, slot, lane, value):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _circuit(y, e, v, v_s, line, p):
-    """Derivatives of (i_c, v_C, i_g, v_dc) under the bridge voltage ``e``; ``v`` is the capacitor branch's voltage.
+    """Derivatives of (i_c, v_C, i_g) under the bridge voltage ``e``; ``v`` is the capacitor branch's voltage.
 
-    ``line`` is (r, wb / (l_g + l), current into the DC link, its slope over v_dc, 1 / v_dc).
+    ``line`` is (r, wb / (l_g + l)).
     """
-    i_c, v_c, i_g, v_dc = y
-    r, w_over_l, dc_i, dc_slope, inverse_v_dc = line
+    i_c, v_c, i_g = y
+    r, w_over_l = line
     wb = p.w1_rad_s
     through_f = e - v - _times(p.r_f_pu, i_c)
     through_g = v - v_s - _times(p.r_g_pu + r, i_g)
-    power = e.real * i_c.real + e.imag * i_c.imag
     return (
         _times(wb / p.l_f_pu, through_f) - _j_times(wb, i_c),
         _times(wb / p.c_f_pu, i_c - i_g) - _j_times(wb, v_c),
         _times(w_over_l, through_g) - _j_times(wb, i_g),
-        (dc_i + dc_slope * (v_dc - 1.0) - power * inverse_v_dc) / p.c_dc_s,
     )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _link(w, e, i_c, dc, inverse_v_dc, p):
+    """Derivative of v_dc, the one of ``w``; ``dc`` is the current into the link at rated voltage and its slope."""
+    if len(w) == 0:
+        return ()
+    power = e.real * i_c.real + e.imag * i_c.imag
+    return ((dc[0] + dc[1] * (w[0] - 1.0) - power * inverse_v_dc) / p.c_dc_s,)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _at_pcc(y, v_s, r, share, p):
     """v_pcc = v_s + (r + j l + l/wb d/dt) i_g, with ``share`` = l / (l_g + l)."""
-    i_c, v_c, i_g, _ = y
+    i_c, v_c, i_g = y
     v = v_c + _times(p.r_c_pu, i_c - i_g)
     return v_s + _times(r, i_g) + _times(share, v - v_s - _times(p.r_g_pu + r, i_g))
 
@@ -195,36 +203,40 @@ def _notch(n, i_g, block, wb):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _forming(c, v, i_c, i_g, units, refs, v_dc, p):
+def _forming(c, v, i_c, i_g, units, refs, w, p):
     """Derivatives of a virtual synchronous machine's control, its bridge voltage, and 1 / v_dc.
 
-    ``v`` is the voltage it is told, ``units`` are exp(j theta) and exp(j theta_p), ``refs`` (P*, Q*, V*).
+    ``v`` is the voltage it is told, ``units`` are exp(j theta) and exp(j theta_p), ``refs`` (P*, Q*, V*), ``w`` v_dc in
+    a tuple, or nothing where it is constant.
     """
-    _, w, q_m, v_p, eps, _, xi, gamma, phi = c
+    _, speed, q_m, v_p, eps, _, xi, gamma, phi = c
     unit, unit_p = units
     p_ref, q_ref, v_ref = refs
     s = _conj_times(i_g, v)
-    inverse = 1.0 / (v_dc * v_p.real)  # one division serves the PLL and the DC link
-    # PLL: only damping of the rotor needs it.
-    a = v_p.imag * v_dc * inverse
+    # PLL: only damping of the rotor needs it. One division serves it and the DC link.
+    if len(w) == 0:
+        a, inverse_v_dc = v_p.imag / v_p.real, 1.0
+    else:
+        inverse = 1.0 / (w[0] * v_p.real)
+        a, inverse_v_dc = v_p.imag * w[0] * inverse, inverse * v_p.real
     w_pll = 1.0 + p.k_ppll * a + p.k_ipll * eps
     # Rotor and reactive droop.
-    acceleration = (p_ref - s.real - p.k_d * (w - w_pll) - p.k_w * (w - 1.0)) / p.t_a_s
+    acceleration = (p_ref - s.real - p.k_d * (speed - w_pll) - p.k_w * (speed - 1.0)) / p.t_a_s
     v_wanted = v_ref + p.k_q * (q_ref - q_m)
     # Virtual impedance, voltage and current control, active damping.
     v_dq, i_c_dq, i_g_dq = _conj_times(unit, v), _conj_times(unit, i_c), _conj_times(unit, i_g)
-    error_v = v_wanted - _times(p.r_v_pu, i_g_dq) - _j_times(w * p.l_v_pu, i_g_dq) - v_dq
-    i_wanted = _times(p.k_pv, error_v) + _times(p.k_iv, xi) + _j_times(w * p.c_f_pu, v_dq) + _times(p.k_ffi, i_g_dq)
+    error_v = v_wanted - _times(p.r_v_pu, i_g_dq) - _j_times(speed * p.l_v_pu, i_g_dq) - v_dq
+    i_wanted = _times(p.k_pv, error_v) + _times(p.k_iv, xi) + _j_times(speed * p.c_f_pu, v_dq) + _times(p.k_ffi, i_g_dq)
     error_i = i_wanted - i_c_dq
     e_dq = (
         _times(p.k_pc, error_i)
         + _times(p.k_ic, gamma)
-        + _j_times(w * p.l_f_pu, i_c_dq)
+        + _j_times(speed * p.l_f_pu, i_c_dq)
         + _times(p.k_ffv - p.k_ad, v_dq)
         + _times(p.k_ad, phi)
     )
     k = (
-        p.w1_rad_s * (w - 1.0),
+        p.w1_rad_s * (speed - 1.0),
         acceleration,
         p.w_f_rad_s * (s.imag - q_m),
         _times(p.w_lp_rad_s, _conj_times(unit_p, v) - v_p),
@@ -234,11 +246,11 @@ def _forming(c, v, i_c, i_g, units, refs, v_dc, p):
         error_i,
         _times(p.w_ad_rad_s, v_dq - phi),
     )
-    return k, unit * e_dq, inverse * v_p.real
+    return k, unit * e_dq, inverse_v_dc
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _following(c, v, i_c, i_g, unit, refs, v_dc, p):
+def _following(c, v, i_c, i_g, unit, refs, w, p):
     """Derivatives of a grid-following control, its bridge voltage, and 1 / v_dc; arguments as `_forming`."""
     _, x_pll, s_p, s_q, p_m, q_m, gamma, v_f = c
     p_ref, q_ref, v_ref = refs
@@ -246,7 +258,10 @@ def _following(c, v, i_c, i_g, unit, refs, v_dc, p):
     v_dq, i_dq = _conj_times(unit, v), _conj_times(unit, i_c)
     size = math.sqrt(v.real * v.real + v.imag * v.imag)
     # Outer loops: active power and DC voltage, reactive power and AC voltage, by their weights.
-    error_p = p.c_p * (p_ref - p_m) + p.c_dc * (v_dc - 1.0)
+    if len(w) == 0:
+        error_p, inverse_v_dc = p.c_p * (p_ref - p_m), 1.0
+    else:
+        error_p, inverse_v_dc = p.c_p * (p_ref - p_m) + p.c_dc * (w[0] - 1.0), 1.0 / w[0]
     error_q = p.c_q * (q_ref - q_m) + p.c_v * (v_ref - size)
     i_wanted = complex(p.k_p * error_p + s_p, -(p.k_q * error_q + s_q))
     error_i = i_wanted - i_dq
@@ -261,31 +276,31 @@ def _following(c, v, i_c, i_g, unit, refs, v_dc, p):
         _times(p.k_ic, error_i),
         _times(p.w_ff_rad_s, v_dq - v_f),
     )
-    return k, unit * e_dq, 1.0 / v_dc
+    return k, unit * e_dq, inverse_v_dc
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _forming_all(y, c, n, v_s, units, constants, block, p):
-    """Derivatives of circuit, forming control and notch; ``n`` and ``block`` are empty without compensation."""
-    line, refs = constants
-    i_c, v_c, i_g, v_dc = y
+def _forming_all(y, w, c, n, v_s, units, constants, block, p):
+    """Derivatives of circuit, DC link, forming control and notch; ``w``, ``n`` and ``block`` are empty without them."""
+    line, refs, dc = constants
+    i_c, v_c, i_g = y
     v = v_c + _times(p.r_c_pu, i_c - i_g)
     u = _told(v, i_g, n, block)
-    k_c, e, inverse = _forming(c, u, i_c, i_g, units, refs, v_dc, p)
+    k_c, e, inverse = _forming(c, u, i_c, i_g, units, refs, w, p)
     k_n = _notch(n, i_g, block, p.w1_rad_s)
-    return _circuit(y, e, v, v_s, (line[0], line[1], line[2], line[3], inverse), p), k_c, k_n
+    return _circuit(y, e, v, v_s, line, p), _link(w, e, i_c, dc, inverse, p), k_c, k_n
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _following_all(y, c, n, v_s, unit, constants, block, p):
-    """Derivatives of circuit, following control and notch; ``n`` and ``block`` are empty without compensation."""
-    line, refs = constants
-    i_c, v_c, i_g, v_dc = y
+def _following_all(y, w, c, n, v_s, unit, constants, block, p):
+    """Derivatives of circuit, DC link, following control, notch; ``w``, ``n`` and ``block`` are empty without them."""
+    line, refs, dc = constants
+    i_c, v_c, i_g = y
     v = v_c + _times(p.r_c_pu, i_c - i_g)
     u = _told(v, i_g, n, block)
-    k_c, e, inverse = _following(c, u, i_c, i_g, unit, refs, v_dc, p)
+    k_c, e, inverse = _following(c, u, i_c, i_g, unit, refs, w, p)
     k_n = _notch(n, i_g, block, p.w1_rad_s)
-    return _circuit(y, e, v, v_s, (line[0], line[1], line[2], line[3], inverse), p), k_c, k_n
+    return _circuit(y, e, v, v_s, line, p), _link(w, e, i_c, dc, inverse, p), k_c, k_n
 
 
 # ---------------------------------------------------------------------- states in and out, and moved
@@ -293,8 +308,15 @@ def _following_all(y, c, n, v_s, unit, constants, block, p):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _moved_circuit(y, h, k):
-    """``y + h k`` for (i_c, v_C, i_g, v_dc)."""
-    return _on_2(y[0], h, k[0]), _on_2(y[1], h, k[1]), _on_2(y[2], h, k[2]), _on(y[3], h, k[3])
+    """``y + h k`` for (i_c, v_C, i_g)."""
+    return _on_2(y[0], h, k[0]), _on_2(y[1], h, k[1]), _on_2(y[2], h, k[2])
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _moved_link(w, h, k):
+    if len(w) == 0:
+        return ()
+    return (_on(w[0], h, k[0]),)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -335,7 +357,20 @@ def _moved_notch(n, h, k):
 
 @njit(forceinline=True)
 def _load_circuit(x, lane):
-    return _get(x, I_C, lane), _get(x, V_C, lane), _get(x, I_G, lane), x[V_DC * LANES + lane]
+    return _get(x, I_C, lane), _get(x, V_C, lane), _get(x, I_G, lane)
+
+
+@njit(forceinline=True)
+def _load_link(x, lane, link):
+    if len(link) == 0:
+        return ()
+    return (x[V_DC * LANES + lane],)
+
+
+@njit(forceinline=True)
+def _store_link(x, lane, w):
+    if len(w) != 0:
+        x[V_DC * LANES + lane] = w[0]
 
 
 @njit(forceinline=True)
@@ -343,7 +378,6 @@ def _store_circuit(x, lane, y):
     _put(x, I_C, lane, y[0])
     _put(x, V_C, lane, y[1])
     _put(x, I_G, lane, y[2])
-    x[V_DC * LANES + lane] = y[3]
 
 
 @njit(forceinline=True)
@@ -423,10 +457,13 @@ def _store_notch(x, lane, n):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _constants(x, lane, p):
-    """((r, wb / (l_g + l), dc current, its slope), (P*, Q*, V*)) of a lane."""
+    """((r, wb / (l_g + l)), (P*, Q*, V*), (current into the DC link, its slope)) of a lane."""
     w_over_l = p.w1_rad_s / (p.l_g_pu + x[LINE_L * LANES + lane])
-    line = x[LINE_R * LANES + lane], w_over_l, x[DC_I * LANES + lane], x[DC_SLOPE * LANES + lane]
-    return line, (x[P_REF * LANES + lane], x[Q_REF * LANES + lane], x[V_REF * LANES + lane])
+    return (
+        (x[LINE_R * LANES + lane], w_over_l),
+        (x[P_REF * LANES + lane], x[Q_REF * LANES + lane], x[V_REF * LANES + lane]),
+        (x[DC_I * LANES + lane], x[DC_SLOPE * LANES + lane]),
+    )
 
 
 # ---------------------------------------------------------------------- source and listening
@@ -537,54 +574,70 @@ def _hear_pcc(x, lane, y, v_s, p):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_forming(x, p, h, port):
-    """One step of every lane; ``port`` is `PLAIN` or `COMPENSATED`."""
+def _step_forming(x, p, h, port, link):
+    """One step of every lane; ``port`` and ``link`` are `ABSENT` or `PRESENT`."""
     for lane in range(LANES):
         constants, block = _constants(x, lane, p), _load_block(x, lane, port)
         v0, v1, v2 = _source(x, lane)
         y, c, n = _load_circuit(x, lane), _load_forming(x, lane), _load_notch(x, lane, port)
+        w = _load_link(x, lane, link)
         _hear_pcc(x, lane, y, v0, p)
         u, u_p = _cis(c[0]), _cis(c[5])
         units = u, u_p
         a, b = h / 6.0, h / 3.0
-        k, m, r = _forming_all(y, c, n, v0, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(y, w, c, n, v0, units, constants, block, p)
+        w_end = _moved_link(w, a, k_dc)
         y_end, c_end, n_end = _moved_circuit(y, a, k), _moved_forming(c, a, m), _moved_notch(n, a, r)
+        u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_forming(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
         units = _turned(u, d[0] - c[0]), _turned(u_p, d[5] - c[5])
-        k, m, r = _forming_all(z, d, o, v1, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v1, units, constants, block, p)
+        w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_forming(c_end, b, m), _moved_notch(n_end, b, r)
+        u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_forming(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
         units = _turned(u, d[0] - c[0]), _turned(u_p, d[5] - c[5])
-        k, m, r = _forming_all(z, d, o, v1, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v1, units, constants, block, p)
+        w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_forming(c_end, b, m), _moved_notch(n_end, b, r)
+        u_dc = _moved_link(w, h, k_dc)
         z, d, o = _moved_circuit(y, h, k), _moved_forming(c, h, m), _moved_notch(n, h, r)
         units = _turned(u, d[0] - c[0]), _turned(u_p, d[5] - c[5])
-        k, m, r = _forming_all(z, d, o, v2, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v2, units, constants, block, p)
+        _store_link(x, lane, _moved_link(w_end, a, k_dc))
         _store_circuit(x, lane, _moved_circuit(y_end, a, k))
         _store_forming(x, lane, _moved_forming(c_end, a, m))
         _store_notch(x, lane, _moved_notch(n_end, a, r))
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_following(x, p, h, port):
-    """One step of every lane; ``port`` is `PLAIN` or `COMPENSATED`."""
+def _step_following(x, p, h, port, link):
+    """One step of every lane; ``port`` and ``link`` are `ABSENT` or `PRESENT`."""
     for lane in range(LANES):
         constants, block = _constants(x, lane, p), _load_block(x, lane, port)
         v0, v1, v2 = _source(x, lane)
         y, c, n = _load_circuit(x, lane), _load_following(x, lane), _load_notch(x, lane, port)
+        w = _load_link(x, lane, link)
         _hear_pcc(x, lane, y, v0, p)
         u = _cis(c[0])
         a, b = h / 6.0, h / 3.0
-        k, m, r = _following_all(y, c, n, v0, u, constants, block, p)
+        k, k_dc, m, r = _following_all(y, w, c, n, v0, u, constants, block, p)
+        w_end = _moved_link(w, a, k_dc)
         y_end, c_end, n_end = _moved_circuit(y, a, k), _moved_following(c, a, m), _moved_notch(n, a, r)
+        u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_following(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
-        k, m, r = _following_all(z, d, o, v1, _turned(u, d[0] - c[0]), constants, block, p)
+        k, k_dc, m, r = _following_all(z, u_dc, d, o, v1, _turned(u, d[0] - c[0]), constants, block, p)
+        w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_following(c_end, b, m), _moved_notch(n_end, b, r)
+        u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_following(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
-        k, m, r = _following_all(z, d, o, v1, _turned(u, d[0] - c[0]), constants, block, p)
+        k, k_dc, m, r = _following_all(z, u_dc, d, o, v1, _turned(u, d[0] - c[0]), constants, block, p)
+        w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_following(c_end, b, m), _moved_notch(n_end, b, r)
+        u_dc = _moved_link(w, h, k_dc)
         z, d, o = _moved_circuit(y, h, k), _moved_following(c, h, m), _moved_notch(n, h, r)
-        k, m, r = _following_all(z, d, o, v2, _turned(u, d[0] - c[0]), constants, block, p)
+        k, k_dc, m, r = _following_all(z, u_dc, d, o, v2, _turned(u, d[0] - c[0]), constants, block, p)
+        _store_link(x, lane, _moved_link(w_end, a, k_dc))
         _store_circuit(x, lane, _moved_circuit(y_end, a, k))
         _store_following(x, lane, _moved_following(c_end, a, m))
         _store_notch(x, lane, _moved_notch(n_end, a, r))
@@ -604,7 +657,7 @@ def _keep(x, slot, kept, block):
 
 
 @njit(forceinline=True)
-def _advance(step, port, table, x, n_tones, p, h, block_steps, slot, kept):
+def _advance(step, port, link, table, x, n_tones, p, h, block_steps, slot, kept):
     """All lanes through all blocks with one of the two steps."""
     _prepare_source(x, n_tones)
     row = 0
@@ -612,7 +665,7 @@ def _advance(step, port, table, x, n_tones, p, h, block_steps, slot, kept):
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            step(x, p, h, port)
+            step(x, p, h, port, link)
         _keep(x, slot, kept, block)
 
 
@@ -641,22 +694,46 @@ def advance_forming(table, x, n_tones, p, h, block_steps, slot, kept):
         Receives, after each block, the slots from ``slot`` on: the sample at the start of the block's
         last step, or the block's sums.
     """
-    _advance(_step_forming, PLAIN, table, x, n_tones, p, h, block_steps, slot, kept)
+    _advance(_step_forming, ABSENT, ABSENT, table, x, n_tones, p, h, block_steps, slot, kept)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
 def advance_forming_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_forming` with the lanes' compensation before the controller."""
-    _advance(_step_forming, COMPENSATED, table, x, n_tones, p, h, block_steps, slot, kept)
+    _advance(_step_forming, PRESENT, ABSENT, table, x, n_tones, p, h, block_steps, slot, kept)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
 def advance_following(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_forming` for a grid-following device; ``p`` are `FollowingParameters`."""
-    _advance(_step_following, PLAIN, table, x, n_tones, p, h, block_steps, slot, kept)
+    _advance(_step_following, ABSENT, ABSENT, table, x, n_tones, p, h, block_steps, slot, kept)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
 def advance_following_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_following` with the lanes' compensation before the controller."""
-    _advance(_step_following, COMPENSATED, table, x, n_tones, p, h, block_steps, slot, kept)
+    _advance(_step_following, PRESENT, ABSENT, table, x, n_tones, p, h, block_steps, slot, kept)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_forming_linked(table, x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_forming` with a DC link of finite capacitance."""
+    _advance(_step_forming, ABSENT, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_forming_linked_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_forming` with a DC link of finite capacitance and the lanes' compensation before the controller."""
+    _advance(_step_forming, PRESENT, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_following_linked(table, x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_following` with a DC link of finite capacitance."""
+    _advance(_step_following, ABSENT, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_following_linked_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
+    """`advance_following` with a DC link of finite capacitance and the lanes' compensation before the controller."""
+    _advance(_step_following, PRESENT, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept)

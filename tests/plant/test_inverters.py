@@ -68,10 +68,11 @@ def right_hand_side(plant: Inverter, point: OperatingPoint):
         y = kernel._load_circuit(slots, 0)
         c = (kernel._load_forming if forming else kernel._load_following)(slots, 0)
         unit = (np.exp(1j * c[0]), np.exp(1j * c[5])) if forming else complex(np.exp(1j * c[0]))
-        line = (0.0, p.w1_rad_s / p.l_g_pu, *state.dc)
+        line = (0.0, p.w1_rad_s / p.l_g_pu)
+        w = kernel._load_link(slots, 0, kernel.PRESENT)
         derive = kernel._forming_all if forming else kernel._following_all
-        k, m, _ = derive(y, c, (), v_s, unit, (line, references), (), p)
-        flat = [part for value in (*k, *m) for part in _parts(value)]
+        k, link, m, _ = derive(y, w, c, (), v_s, unit, (line, references, state.dc), (), p)
+        flat = [part for value in (*k, *link, *m) for part in _parts(value)]
         return np.array(flat)
 
     return f, state.values[:n], state.v_source
@@ -337,7 +338,7 @@ def test_kernels_are_vector_code():
     from numba import njit
 
     for name, p in (("forming", FormingParameters()), ("following", FollowingParameters())):
-        for suffix in ("", "_compensated"):
+        for suffix in ("", "_linked_compensated"):
             advance = njit(nogil=True, fastmath=kernel._FAST, error_model="numpy")(
                 getattr(kernel, f"advance_{name}{suffix}").py_func
             )
