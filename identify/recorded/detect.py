@@ -159,14 +159,16 @@ def _seen(waveforms: Waveforms, stretch: Stretch, frames: Frames) -> _Seen:
     top = np.flatnonzero((size > floor) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1)))
     top = top[np.argsort(-size[top])][: 2 * MOST_TONES]
     f_hz = np.array([interpolated(size, int(k)) for k in top]) / (n * waveforms.dt_s)
-    return _without_sidebands(_Seen(stretch, f_hz, size[top], 1.0 / (n * waveforms.dt_s), f1_hz))
+    seen = _Seen(stretch, f_hz, size[top], 1.0 / (n * waveforms.dt_s), f1_hz)
+    return _without_sidebands(seen, size)
 
 
-def _without_sidebands(seen: _Seen) -> _Seen:
-    """Without lines next to f1 that come in pairs of equal size: those are a wandering of f1 itself."""
+def _without_sidebands(seen: _Seen, spectrum_size: np.ndarray) -> _Seen:
+    """Without lines next to f1 that come in pairs of about equal size: those are a wandering of f1 itself."""
     near = np.abs(seen.f_hz - seen.f1_hz) < max(SIDEBAND_HZ, 4.0 * seen.resolution_hz)
-    mirrored = np.array([_size_at(seen, 2.0 * seen.f1_hz - f) for f in seen.f_hz])
-    keep = ~near | (seen.size > SIDEBAND * mirrored)
+    places = np.rint((2.0 * seen.f1_hz - seen.f_hz) / seen.resolution_hz).astype(int)
+    around = (places[:, None] + np.arange(-2, 3)) % len(spectrum_size)
+    keep = ~near | (seen.size > SIDEBAND * np.max(spectrum_size[around], axis=1, initial=0.0))
     return seen._replace(f_hz=seen.f_hz[keep], size=seen.size[keep])
 
 

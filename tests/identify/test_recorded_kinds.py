@@ -19,7 +19,8 @@ from seqsweep.identify.recorded.quiet import quiet_lines, without_background
 from seqsweep.identify.recorded.tones import hear
 
 from ..support.by_hand import Heard as Waveforms
-from ..support.recorded_device import chi_square, joined, random_device, tones
+from ..support.by_hand import Stretch
+from ..support.recorded_device import chi_square, joined, noisy, random_device, tones
 
 CHI2_95 = 5.991
 FAR = 40.0
@@ -275,6 +276,35 @@ def test_a_wandering_of_f1_is_not_followed_where_that_would_take_the_tone_along(
     stretch.v[:], stretch.i[:] = stretch.v * wander, stretch.i * wander
     (heard,) = hear(Waveforms(stretch), 0, len(t), (52.0,))
     assert heard.drift_hz == 0.0 or heard.doubt is not None
+
+
+def on_a_wandering_grid(rng):
+    """Tones of fixed frequencies while f1 wanders; the device follows slowly, so its answer is quasi-static."""
+    device, dt_s = random_device(rng, 50.0), 2e-4
+    frequencies = apart(rng, int(rng.integers(1, 6)), 50.0)
+    drift_hz, period_s = float(rng.choice([0.01, 0.03])), float(rng.choice([10.0, 30.0]))
+    t = dt_s * np.arange(round(float(rng.uniform(6.0, 12.0)) / dt_s))
+    recordings = []
+    for at in (frequencies, [100.0 - f for f in frequencies]):
+        wander = drift_hz * period_s * np.sin(2.0 * np.pi * t / period_s + rng.uniform(0.0, 6.0))
+        frame = np.exp(1j * (2.0 * np.pi * 50.0 * t + device.phi1 + wander))
+        v, i = device.v1 * frame, device.i1 * frame
+        for f, phasor in tones(rng, at, 0.01 * device.v1, leak=0.0)(50.0).items():
+            tone, y = phasor * np.exp(2j * np.pi * f * t), device.y(f)
+            v, i = v + tone, i + y[0, 0] * tone + np.conj(y[1, 0] * tone / frame) * frame
+        recordings.append(noisy(Stretch(v, i, dt_s), 1e-4, device, rng))
+    return Case(device, recordings, points_asked(frequencies, 50.0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_on_a_wandering_grid_all_tones_are_found_and_no_sideband_of_f1_is_taken_for_one(seed):
+    case = on_a_wandering_grid(np.random.default_rng(seed))
+    experiments, _ = found_in(case.recordings)
+    points = points_of(experiments, 50.0)
+    assert [p.f_hz for p in points] == pytest.approx(case.asked, abs=0.05)
+    for point, f in zip(points, case.asked, strict=True):
+        assert point.status in ("ok", "not_settled", "ill_conditioned")
+        assert np.linalg.norm(point.y - case.device.y(f)) < 2e-2 * np.linalg.norm(case.device.y(f))
 
 
 # On a harmonic
