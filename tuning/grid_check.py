@@ -22,7 +22,7 @@ PLAUSIBLE_SCR = (0.3, 1000.0)
 SOURCE_TOLERANCE_PU = 0.07
 """Where a table does not tell the device's reactive power: that much of source voltage is left open (pu)."""
 
-MEASURED_TOLERANCE_PU = 0.03
+MEASURED_TOLERANCE_PU = 0.05
 """Where it does: so far from one the source voltage is worth a word (pu)."""
 
 
