@@ -102,7 +102,7 @@ def test_measured_p_and_q_give_the_source_voltage_of_the_load_flow(power_w):
     """Outside truth: the exact equilibrium's source voltage, the shunt's reactive power included."""
     plant = ReferenceTurbine()
     plan = planned(plant, f_hz=[130.0], point={"active_power_mw": power_w / 1e6, "terminal_voltage_pu": 1.0})
-    seen = measure(plant, plan, next(iter(plan.batches()))).condition
+    seen = measure(plant, next(iter(plan.batches()))).condition
     into = complex(seen["active_power_into_device_w"], seen["reactive_power_into_device_var"])
     grid = SeriesRL(0.012, 0.25, 50.0)
     exact = oracle.source_voltage(power_w, 690.0, grid.r_ohm, grid.l_h)
