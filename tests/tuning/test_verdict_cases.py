@@ -141,7 +141,7 @@ def tried(folder: Path, powers_mw: np.ndarray, points: tuple[int, ...], amplitud
 
 
 def test_few_and_loud_rows_of_the_turbine_are_not_judged_wrong(tmp_path: Path) -> None:
-    wrong, undecided, invented = tried(tmp_path, POWERS_MW[[0, 5, 9]], (60,), (0.0005,))
+    wrong, undecided, invented = tried(tmp_path, POWERS_MW[[0, 5, 9]], (60,), (0.0005, 0.005))
     assert wrong == 0.0
     assert undecided <= 0.02
     assert invented == 0.0
@@ -290,7 +290,7 @@ def test_hold_of_a_stepped_device_does_not_keep_the_verdict_back(scr: float) -> 
 # Long, noisy and measured tables ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("points", [96])
+@pytest.mark.parametrize("points", [96, 192, 384])
 def test_long_tables_with_noisier_slow_rows_are_judged_right(points: int) -> None:
     """Windows of one second: slow rows are noisier, no covariance. Once order 23 with ten poles on the right."""
     device = linear_following(Following(p=1.0), GFL)
@@ -305,7 +305,7 @@ def test_long_tables_with_noisier_slow_rows_are_judged_right(points: int) -> Non
         assert point.stability.n_open_loop_unstable == 0
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3, 4])
+@pytest.mark.parametrize("seed", range(5))
 def test_measured_rows_with_a_hole_around_f1_are_not_called_unstable_where_they_were_measured(seed: int) -> None:
     """Nothing within 8 Hz of f1, outlying rows beside it and at 3 f1, no covariance: once "+133 +- 27 rad/s"."""
     device = linear_following(replace(Following(), p=0.2 + 0.15 * seed), GFL)
@@ -322,7 +322,7 @@ def test_measured_rows_with_a_hole_around_f1_are_not_called_unstable_where_they_
     assert any(f"{value:.4g}" in text for row in wrong for value in (f[row], abs(f[row] - F1_HZ))), text
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 4, 5])
+@pytest.mark.parametrize("seed", range(6))
 def test_result_of_a_noisy_table_is_json(seed: int) -> None:
     """2 % of noise and no covariance: once "Out of range float values", and nothing was written."""
     device = linear_following(replace(Following(), p=0.15 * seed), GFL)
