@@ -375,7 +375,8 @@ def _common_facts(responses: Sequence[FrequencyResponse]) -> dict[str, Any]:
     if not all(facts) or any(fact["grid"] != facts[0]["grid"] for fact in facts):
         return {}
     bounds = [fact.get("growth_bound_per_s") for fact in facts]
-    bound = None if any(b is None for b in bounds) else max(bounds)
+    known = [float(b) for b in bounds if b is not None]
+    bound = max(known) if len(known) == len(bounds) else None
     return {"stable_on": {**facts[0], "growth_bound_per_s": bound}}
 
 

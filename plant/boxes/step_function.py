@@ -384,9 +384,9 @@ def told_where(error: Exception, step: Callable[..., Any]) -> str:
     """An error of a user's function in words, with the file and line of the user's own code where it has one."""
     code = getattr(getattr(step, "py_func", step), "__code__", None)
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
-    if not own and code is None:
+    if code is None:
         return in_words(error)
+    own = [frame for frame in frames if frame.filename == code.co_filename]
     if not own:
         return f"{in_words(error)} (in {step.__name__}, {code.co_filename}, line {code.co_firstlineno})"
     return f"{in_words(error)} ({own[-1].filename}, line {own[-1].lineno}: {own[-1].line})"
