@@ -210,20 +210,21 @@ def _sorted_out(waveforms: Waveforms, seen: list[_Seen], frames: Frames) -> Surv
         start, stop = _inside(waveforms, each.stretch, edges(waveforms, each.stretch, tones[:8], frames), frames)
         unused += [f"{word}{_when(waveforms, start, stop)}" for word in words]
         found += [Found(start, stop, float(f), quiet) for f in tones]
-    return Survey(tuple(found), (*unused, *_restless(waveforms, seen, frames)))
+    return Survey(tuple(found), (*unused, *_restless(waveforms, seen, found, frames)))
 
 
-def _restless(waveforms: Waveforms, seen: list[_Seen], frames: Frames) -> list[str]:
+def _restless(waveforms: Waveforms, seen: list[_Seen], found: list[Found], frames: Frames) -> list[str]:
     """Where something changes all the time for longer than an edge takes, in words."""
-    stops = [0, *(each.stretch.stop for each in seen)]
-    starts = [*(each.stretch.start for each in seen), waveforms.n_samples]
-    length_s = frames.n * frames.dt_s
-    return [
-        f"not used:{_when(waveforms, stop, start)} nothing lasts; an experiment is found where it lasts "
-        f"{LASTS * length_s:.2g} s without a change: record longer, or tell of it with --manifest"
-        for stop, start in zip(stops, starts, strict=True)
-        if seen and start - stop > RESTLESS * frames.n
-    ]
+    calm = sorted([(each.stretch.start, each.stretch.stop) for each in seen] + [(f.start, f.stop) for f in found])
+    length_s, until, words = frames.n * frames.dt_s, 0, []
+    for start, stop in [*calm, (waveforms.n_samples, waveforms.n_samples)]:
+        if calm and start - until > RESTLESS * frames.n:
+            words.append(
+                f"not used:{_when(waveforms, until, start)} nothing lasts; an experiment is found where it lasts "
+                f"{LASTS * length_s:.2g} s without a change: record longer, or tell of it with --manifest"
+            )
+        until = max(until, stop)
+    return words
 
 
 def _inside(waveforms: Waveforms, stretch: Stretch, on: Stretch, frames: Frames) -> Stretch:

@@ -152,17 +152,19 @@ def judged(
     RecordingError
         If a phase is dead, or no single mistake explains what the channels show, or several do.
     """
-    probes = [_valid(recording, vector, notes) for vector in (voltage, current)]
+    probes = [_valid(recording, vector) for vector in (voltage, current)]
     f1_hz = fundamental_hz(voltage.of(probes[0]), recording.dt_s)
     phasors = [_phasors(x, f1_hz, recording.dt_s) for x in probes]
     ways = [_ways(recording, vector, x) for vector, x in zip((voltage, current), phasors, strict=True)]
     chosen = _chosen(recording, ways[0], ways[1], phasors)
+    for vector, x, way in zip((voltage, current), probes, chosen, strict=True):
+        notes += _left_out(vector, x * way.signs)
     notes += dict.fromkeys(way.words for way in chosen if way.words)
     return replace(voltage, weights=chosen[0].weights), replace(current, weights=chosen[1].weights)
 
 
-def _valid(recording: Recording, vector: SpaceVector, notes: list[str]) -> np.ndarray:
-    """Samples of about a second (n, k), every channel alive; offset and zero sequence are said."""
+def _valid(recording: Recording, vector: SpaceVector) -> np.ndarray:
+    """Samples of about a second (n, k), every channel alive."""
     x = probe(recording, vector.columns)
     x = x[np.all(np.isfinite(x), axis=1)]
     if len(x) < 16:
@@ -176,14 +178,20 @@ def _valid(recording: Recording, vector: SpaceVector, notes: list[str]) -> np.nd
                 f"of the {vector.kind} is missing; in a three-wire system two phases are enough: name those with "
                 "--channels"
             )
-    zero = np.std(np.sum(x, axis=1)) / 3.0 / np.max(alive)
+    return x
+
+
+def _left_out(vector: SpaceVector, x: np.ndarray) -> list[str]:
+    """Zero sequence and offset of channels (n, k) as they were read, in words."""
+    notes = []
+    zero = np.std(np.sum(x, axis=1)) / 3.0 / np.max(np.std(x, axis=0))
     if vector.form == "phases" and zero > ZERO_SEQUENCE:
         notes.append(f"the {vector.kind} has a zero sequence of {zero:.1%}: left out")
     taper = np.hanning(len(x))
     offset = abs(np.sum(vector.of(x) * taper) / np.sum(taper)) / np.sqrt(np.mean(np.abs(vector.of(x)) ** 2))
     if offset > 0.01:
         notes.append(f"the {vector.kind} has a DC offset of {offset:.1%}: left out")
-    return x
+    return notes
 
 
 def fundamental_hz(x: np.ndarray, dt_s: float) -> float:

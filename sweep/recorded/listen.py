@@ -37,6 +37,9 @@ MOST_OF = 0.9
 CLOCK_CYCLES = 0.01
 """Cycles by which a tone may slip over its window before the clocks are worth a word."""
 
+MOST_SHOWN = 200
+"""Tones that a line of output lists."""
+
 NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
 NEAR_NOMINAL = 0.04
 """A fundamental farther than this from every nominal one means a wrong sampling rate, most likely."""
@@ -194,7 +197,8 @@ def _experiments(task: Task, waveforms: Waveforms, stretches: Sequence[Stretch])
     notes += [f"left out: {_bare(error, task.path)}" for error in refusals]
     fundamentals = tuple(Fundamental(e.heard.f1_hz, e.heard.v1, e.heard.i1) for e in experiments)
     notes += _facts(waveforms, fundamentals)
-    tones = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments)
+    tones = ", ".join(f"{e.heard.f_hz:.6g}" for e in experiments[:MOST_SHOWN])
+    tones += f" and {len(experiments) - MOST_SHOWN} more" if len(experiments) > MOST_SHOWN else ""
     return Listened(task.path.name, tuple(experiments), None, fundamentals, (f"tones at {tones} Hz", *notes))
 
 
