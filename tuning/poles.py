@@ -27,6 +27,7 @@ EDGE = 1.05
 """A mode this far beyond the band's end still counts as swept."""
 
 _CARRIED = 0.05  # a mode so near to one of the device's own, in widths of that, does not show in the locus
+_BESIDE = 0.05  # relative distance from a pole of no known width within which a mode is its shadow
 _KNOWN = 0.2  # a mode whose place is known no better than to this part of itself is none that the data carry
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
@@ -134,6 +135,9 @@ def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray, believed
     f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
     apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
     carried = (apart.min(axis=1, initial=np.inf) > _CARRIED) & (std < _KNOWN * np.abs(poles))
+    vague = model.poles[model.pole_std.real > np.abs(model.poles.real)]  # of no known width: a row or two hold them up
+    beside = np.abs(poles[:, None] - vague) < _BESIDE * np.abs(poles)[:, None]
+    carried &= ~np.any(beside, axis=1)
     carried &= believed
     within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & carried
     if np.any((poles.real > 0.0) & carried):

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..identify.fit.model import MAX_ORDER
 from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from .anchor import Anchor
 from .crossings import Crossing, bode_crossings, critical_crossing
@@ -29,6 +30,7 @@ LIGHTLY_DAMPED = 0.05
 _GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _CLEARLY = 0.3  # part of Y that feeds a wave from which on a device surely does, its hold and delay aside
 _TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
+_UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y that no longer describe the rows
 _DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
 
@@ -205,6 +207,7 @@ def _decide(case: Case) -> tuple[Decision, str]:
     objections = (
         _untraced,
         _unproved,
+        _too_few_rows,
         _open_end,
         _judges_disagree,
         _swept_grid_denies,
@@ -244,6 +247,26 @@ def _unproved(case: Case) -> str:
             f"the fit finds {model.n_unstable}: sweep more points"
         )
     return ""
+
+
+def _too_few_rows(case: Case) -> str:
+    """The order of the fit ended where the rows ran out, and they are not described."""
+    model = case.model
+    most = min(MAX_ORDER, (len(model.nu_hz) - 1) // 2)
+    unexplained = model.weighting != "covariance" or model.residual > _UNEXPLAINED
+    if case.rows is None or model.order + 2 <= most or not unexplained or _misfit(case.rows, model) < _ROUGH:
+        return ""
+    return (
+        f"{len(model.nu_hz)} rows tell no more than {most} poles apart, and the device has more: the fit leaves more "
+        "than noise unexplained; sweep more points"
+    )
+
+
+def _misfit(rows: Rows, model: RationalModel) -> float:
+    """Median of the rows' misfits relative to Y."""
+    y = rows.data.y
+    error = np.linalg.norm(evaluate(model, 2j * np.pi * rows.data.nu_hz) - y, axis=(1, 2))
+    return float(np.median(error / np.linalg.norm(y, axis=(1, 2))))
 
 
 def _open_end(case: Case) -> str:

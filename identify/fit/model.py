@@ -38,6 +38,9 @@ from .rational import RationalModel
 from .row_noise import leave_out_outliers, weighted_by_misfit
 from .vector_fit import vector_fit
 
+MAX_ORDER = 24
+"""Highest number of poles tried."""
+
 MIN_POINTS = 8
 """Fewest usable rows a model is made from."""
 
@@ -47,7 +50,7 @@ _EXPLAINED = 1.5  # misfits up to this multiple of the given variances are left 
 def fit_response(
     response: FrequencyResponse,
     *,
-    max_order: int = 24,
+    max_order: int = MAX_ORDER,
     noise_floor: float = 1e-7,
     start: RationalModel | None = None,
     n_unstable: int | None = None,

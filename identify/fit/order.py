@@ -11,6 +11,7 @@ from .rational import RationalModel
 from .vector_fit import vector_fit
 
 _FAR = 1.5  # a pole is outside the band beyond this multiple of the highest angular frequency
+_FEW = 60  # rows
 _UNPLACED = 0.5  # standard error of a far pole, in its size, from which on its place is not known
 _NEARBY = 5.0  # where a real pole that replaces a far pair is started, in bands
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
@@ -18,12 +19,15 @@ _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
 
 
 def select_order(problem: Problem, max_order: int, start: RationalModel | None) -> Trial:
-    """Grow by a pair where the misfit is largest until two pairs in a row do not pay."""
+    """Grow by a pair where the misfit is largest until two pairs in a row do not pay; four where rows are few.
+
+    The misfit of few rows may stay where it is until every mode between them has its pair.
+    """
     poles = _first_poles(problem) if start is None else upper_half(start.poles)
     tail = 1 if start is None else start.tail
     best = trial = vector_fit(problem, poles, tail)
-    misses = 0
-    while misses < 2 and order_of(trial.poles) + 2 <= max_order and trial.cost > floor_cost(problem):
+    misses, patience = 0, 2 if len(problem.s) >= _FEW else 4
+    while misses < patience and order_of(trial.poles) + 2 <= max_order and trial.cost > floor_cost(problem):
         trial = vector_fit(problem, with_pair(problem, trial), tail)
         misses = 0 if trial.bic < best.bic else misses + 1
         best = min(best, trial, key=lambda t: t.bic)
