@@ -232,13 +232,16 @@ def originals(folder, subject):
 
 def outcome(subject, place, seed, count):
     """What the script says of so many damaged copies; a crash of it is a problem like any other."""
-    done = subprocess.run(
-        [sys.executable, str(SCRIPT), SUBJECTS[subject][0], str(place), str(seed), str(count)],
-        capture_output=True,
-        text=True,
-        timeout=600 + count,
-        check=False,
-    )
+    try:
+        done = subprocess.run(
+            [sys.executable, str(SCRIPT), SUBJECTS[subject][0], str(place), str(seed), str(count)],
+            capture_output=True,
+            text=True,
+            timeout=1200 + count,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return {"read": 0, "refused": 0, "problems": [f"seed {seed}: hung"]}
     if done.returncode != 0 or "Traceback" in done.stderr:
         return {"read": 0, "refused": 0, "problems": [f"ended with {done.returncode}: {done.stderr[-2000:]}"]}
     return json.loads(done.stdout)
