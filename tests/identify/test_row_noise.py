@@ -1,0 +1,62 @@
+"""Rows trusted for what they are: the way between rows, noise seen in the misfit, rows that stand out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.fit.dq_data import DqData, to_dq
+from seqsweep.identify.fit.local_rational import between_rows, local_rational
+from seqsweep.identify.fit.model import fit_response
+
+from ..support import oracle
+from .test_anchor import unstable_device
+from .test_fit import F1_HZ, F_HZ, turbine
+
+
+@pytest.mark.parametrize("points", [30, 90])
+def test_the_way_between_rows_is_the_device_s_own(points: int) -> None:
+    """A lightly damped pole, narrower than the rows, and its conjugate below f1: no row is at it."""
+    pole, residue = -5.0 + 2j * np.pi * 33.3, np.array([[3.0, 1.0j], [-1.0, 2.0]])
+    nu = np.geomspace(0.5, 1000.0, points)
+
+    def y(at: np.ndarray) -> np.ndarray:
+        s = 2j * np.pi * at[:, None, None]
+        return residue / (s - pole) + residue.conj() / (s - pole.conjugate()) + 0.01 * np.eye(2)
+
+    middle = np.sqrt(nu[1:] * nu[:-1])
+    found = between_rows(local_rational(DqData(nu, y(nu), None)), middle)
+    assert np.max(np.linalg.norm(found - y(middle), axis=(1, 2)) / np.linalg.norm(y(middle), axis=(1, 2))) < 1e-6
+
+
+def test_several_outlying_rows_are_named_and_cost_no_accuracy() -> None:
+    response = turbine(noise=1e-3)
+    wrong = [60, 70, 71]
+    y = np.array(response.y)
+    y[wrong] *= 1.3 + 0.2j
+    model = fit_response(replace(response, y=y))
+    for row in wrong:
+        assert any(f"{abs(F_HZ[row] - F1_HZ):.4g} Hz" in note for note in model.notes), model.notes
+    own = np.linalg.eigvals(oracle.linearise(0.65e6, 690.0).A)
+    true = own[np.argmin(np.abs(own - (-27.5 + 141.3j)))]
+    assert np.abs(model.poles - true).min() < 0.1
+
+
+def test_noise_that_differs_from_row_to_row_buys_no_poles() -> None:
+    """Rows near f1 fifty times noisier than the others, and no covariance that says so."""
+    exact = unstable_device()
+    nu = np.abs(exact.f_hz)
+    level = 1e-4 + 5e-3 / (1.0 + nu / 10.0)
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal(exact.y.shape) + 1j * rng.standard_normal(exact.y.shape)
+    size = np.linalg.norm(exact.y, axis=(1, 2))[:, None, None] / 2.0
+    model = fit_response(replace(exact, y=exact.y + level[:, None, None] * size * noise), n_unstable=2)
+    assert model.order <= 7
+    assert model.n_unstable == 2
+
+
+def test_a_table_without_outliers_loses_no_row() -> None:
+    response = turbine(noise=1e-3, seed=3)
+    assert len(fit_response(response).nu_hz) == len(to_dq(response).nu_hz)
