@@ -7,6 +7,8 @@ once the poles narrower than the rows are taken away.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .dq_data import ELEMENTS
@@ -84,7 +86,7 @@ def _row_misfit(problem: Problem, trial: Trial, factor: np.ndarray | float = 1.0
     return np.asarray(np.sqrt(np.mean(misfit[:, :n] ** 2 + misfit[:, n:] ** 2, axis=0) / 2.0) / factor)
 
 
-def _running(mean: object, values: np.ndarray) -> np.ndarray:
+def _running(mean: Callable[..., np.ndarray], values: np.ndarray) -> np.ndarray:
     """A mean over the rows around each."""
     n = len(values)
     half = min(_ALIKE, n) // 2
