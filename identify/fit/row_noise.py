@@ -91,4 +91,4 @@ def _running(mean: Callable[..., np.ndarray], values: np.ndarray) -> np.ndarray:
     n = len(values)
     half = min(_ALIKE, n) // 2
     first = np.clip(np.arange(n) - half, 0, n - 2 * half - 1)
-    return mean(values[first[:, None] + np.arange(2 * half + 1)], axis=1)  # type: ignore[operator]
+    return mean(values[first[:, None] + np.arange(2 * half + 1)], axis=1)
