@@ -126,6 +126,8 @@ def _condition_metadata(condition: Condition, plant: Plant | PlantCard, seen: di
         "active_power_mw": condition.active_power_w / 1e6,
         "terminal_voltage_pu": voltage_v / plant.rating.voltage_v if voltage_v else None,
     }
+    if condition.reactive_power_var:
+        entry["reactive_power_mvar"] = condition.reactive_power_var / 1e6
     if "settle_residual" in seen:
         entry["settle_residual"] = seen["settle_residual"]
     if fundamental:

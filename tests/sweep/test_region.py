@@ -97,6 +97,19 @@ def test_predictions_are_a_table_that_tune_reads(folder):
     assert "stable" in done.stdout
 
 
+def test_reactive_power_is_an_axis_of_a_device_that_has_it(tmp_path):
+    """Three axes, by the grid-following inverter: every asked Q stands in the table and is met by the measured one."""
+    text = REGION.replace("dpmsg-v1", "gfl-v1").replace("tolerance = 5e-3", "tolerance = 3e-2\nmost = 14")
+    region = "[sweep.operating_points]\nreactive_power_mvar = [-0.3, 0.3]"
+    (tmp_path / "gfl.toml").write_text(text.replace("[sweep.operating_points]", region))
+    call("run", tmp_path / "gfl.toml", "-o", tmp_path / "y.parquet", "--jobs", 1)
+    surrogate = read_surrogate(tmp_path / "y.parquet")
+    assert surrogate.region.varies.all()
+    for response in read_table(tmp_path / "y.parquet").responses:
+        measured = -response.meta["fundamental"]["reactive_power_into_device_var"] / 1e6
+        assert measured == pytest.approx(response.meta.get("reactive_power_mvar", 0.0), abs=2e-3)
+
+
 REFUSED = {
     "no numbers": (["--at", "0.65,0"], "needed are three numbers P,Q,V"),
     "outside": (["--at", "3,0,1"], "outside the swept region"),
