@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..plant.errors import SeqsweepError
-from .fit.adaptive import interpolate
+from .fit.adaptive import MIN_ROWS, interpolate
 from .response import FrequencyResponse
 
 SURE = 0.01
@@ -136,6 +136,11 @@ def _at(b: FrequencyResponse, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     apart = np.abs(b.f_hz[nearest] - f_hz) > SAME * f_hz
     y, covariance = b.y[nearest].copy(), np.asarray(b.covariance)[nearest].copy()
     if np.any(apart):
+        if len(usable) < MIN_ROWS:
+            raise SeqsweepError(
+                f"the second table has {len(usable)} usable rows, and {MIN_ROWS} are needed to interpolate it at the "
+                "frequencies of the first: name the table with more rows second"
+            )
         y[apart] = interpolate(b, f_hz[apart])
         own = interpolate(b, b.f_hz[usable])
         misfit = np.linalg.norm(own - b.y[usable], axis=(1, 2)) / np.linalg.norm(b.y[usable], axis=(1, 2))

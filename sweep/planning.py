@@ -78,7 +78,7 @@ def _lateness(card: PlantCard, points: Sequence[Frequency]) -> Iterator[str]:
         yield (
             f"the voltage of a step of {card.dt_s:g} s is held from its start: half a step of delay, which turns Y by "
             f'-{degrees:.2g} degrees at {f_hz:g} Hz; a smaller dt_s makes it less, hold = "mean" takes it away '
-            "(fmu: and process:)"
+            "(fmu:, process: and plant_from_step)"
         )
 
 

@@ -229,5 +229,7 @@ def _cells(rows: Sequence[dict[str, str]], names: Sequence[str]) -> list[Sequenc
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """Lines of at most ``width``, the second and further ones indented."""
-    return textwrap.wrap(text, max(width, 20), subsequent_indent="  ")
+    """Lines of at most ``width``, the second and further ones indented; no percent sign is parted from its number."""
+    held_together = text.replace(" %", "\N{NO-BREAK SPACE}%")
+    lines = textwrap.wrap(held_together, max(width, 20), subsequent_indent="  ")
+    return [line.replace("\N{NO-BREAK SPACE}%", " %") for line in lines]

@@ -394,7 +394,7 @@ def _mode_text(case: Case) -> str:
     if pole.imag == 0.0:
         return f"an aperiodic mode grows at {pole.real:+.3g} rad/s"
     place = _place(case.model, float(loop.f_hz[unstable[0]]))
-    return f"the mode at {place} grows at {pole.real:+.3g} rad/s (damping {loop.damping[unstable[0]]:.1%})"
+    return f"the mode at {place} grows at {pole.real:+.3g} rad/s (damping {100.0 * loop.damping[unstable[0]]:.1f} %)"
 
 
 def _advice(case: Case) -> str:

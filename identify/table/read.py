@@ -139,7 +139,7 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, dict[str, Any]]]:
     if not Path(path).exists():
         raise TableError(f"{path}: no such file")
     if not Path(path).is_file():
-        raise TableError(f"{path}: not a file")
+        raise TableError(f"{path}: not a file; name a table")
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:

@@ -69,3 +69,11 @@ def test_tables_that_share_nothing_are_refused():
         compare(low, high)
     with pytest.raises(ValueError, match="not one device"):
         compare(low, FrequencyResponse(F_HZ[:5], Y[:5], 60.0))
+
+
+def test_a_second_table_too_short_to_interpolate_is_refused_with_the_way_out():
+    many, few = measured(1e-5, 1), measured(1e-5, 2, rows=slice(10, 50, 12))
+    between = FrequencyResponse(few.f_hz * 1.001, few.y, 50.0, covariance=few.covariance, meta={"op_id": "p"})
+    with pytest.raises(ValueError, match=r"second table has 4 usable rows.* name the table with more rows second"):
+        compare(many, between)
+    assert compare(between, many, tolerance=0.1).agrees

@@ -12,7 +12,7 @@ from seqsweep.plant.errors import SeqsweepError
 from seqsweep.tuning.intervals import Interval
 from seqsweep.tuning.result import TuningResult, to_json
 from seqsweep.tuning.siso import SeriesRL
-from seqsweep.tuning.text import format_table, grouped
+from seqsweep.tuning.text import format_table, grouped, wrapped
 from seqsweep.tuning.tune import tune
 
 from .test_tuning import F1_HZ, F_HZ, on_grid, turbine
@@ -157,3 +157,11 @@ def test_a_picture_shows_the_worst_entry_that_has_a_fit() -> None:
     assert result.worst_fitted is result.points[1]
     assert result_figure(result)._suptitle.get_text().startswith("p300 (the worst of 2)")
     assert tune([nothing], LINE).worst_fitted is None
+
+
+def test_no_line_begins_with_a_percent_sign():
+    text = "the mode grows, damping -2.7 %, and again 13.5 % of it"
+    for width in range(20, 60):
+        lines = wrapped(text, width)
+        assert " ".join(line.strip() for line in lines) == text
+        assert not any(line.strip().startswith("%") for line in lines)

@@ -170,7 +170,7 @@ def _check_names(document: Mapping[str, Any], out_of_service: Sequence[str]) -> 
         raise FarmError(f"the name {twice[0]!r} is there twice; every entry needs its own")
     for name in out_of_service:
         if name not in names:
-            raise FarmError(f"nothing in the farm is called {name!r}{nearest(name, names)}")
+            raise FarmError(f"nothing in the farm is called {name!r}{nearest(name, names)}; it has {', '.join(names)}")
 
 
 def _buses(document: Mapping[str, Any]) -> dict[str, float]:
