@@ -28,6 +28,10 @@ class RunError(SeqsweepError):
     """A run that cannot begin as it was called."""
 
 
+WORKERS_S = 30.0
+"""How long (s) a scheduler without a worker is waited for."""
+
+
 class Workers(NamedTuple):
     """How many work at once, and as what; None: as suits the plant."""
 
@@ -145,6 +149,12 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[Any]:
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"no dask scheduler answers at {scheduler}: {error}") from None
         with client:
+            try:
+                client.wait_for_workers(1, timeout=WORKERS_S)
+            except TimeoutError:
+                raise RunError(
+                    f"the dask scheduler at {scheduler} has no worker after {WORKERS_S:g} s: start one, or name another"
+                ) from None
             yield client
         return
     with (
