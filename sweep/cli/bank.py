@@ -46,7 +46,7 @@ def judge(
     from ..bank.report import report_text
     from .decide import as_told
 
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".parquet")
     content = as_told(read_table(table), stable_on, exclude or ())
     responses = chosen(content.responses, op)
     entries = bank_of(grids)

@@ -60,7 +60,7 @@ def tune(
     from ...tuning.text import format_table
     from ...tuning.tune import tune as judge
 
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".json")
     scales = _scales(scale)
     content = as_told(read_table(table), stable_on, exclude or ())
     on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
@@ -125,7 +125,7 @@ def verify(
     """The same device in time, with and without damping control."""
     from ..verify.job import VerifyJob, verified
 
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".json")
     width = shutil.get_terminal_size((100, 24)).columns
     typer.echo(verified(VerifyJob(tuning, table, op, scale, scenario, output, plot, width)))
 
@@ -145,7 +145,7 @@ def grid(
     from ..grid_probe.probe import format_report, make_probe, probe_hosted, to_json, write_json
     from ..run.host import host_at_hand
 
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".json")
     planned, plant = planned_of(campaign, settings)
     probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
     seen = probe_hosted(host_at_hand(plant, planned.hosting), planned, probe, op)

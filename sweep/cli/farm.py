@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shared import Force, WrongInput, check_new, check_outputs
+from .shared import Force, WrongInput, check_new, check_outputs, check_suffix
 
 if TYPE_CHECKING:
     from ...tuning.farm.farm import Farm
@@ -30,9 +30,10 @@ def farm(
     from ...identify.files import write_json
     from ...tuning.farm.result import text_of, to_json
 
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".json")
     if table is not None:
         check_new(table, force)
+        check_suffix(table, ".parquet")
     found = _judged(document, out or [])
     typer.echo(text_of(found))
     if output is not None:

@@ -18,6 +18,7 @@ from .shared import (
     WrongInput,
     check_folder,
     check_new,
+    check_suffix,
     report_statuses,
 )
 
@@ -44,6 +45,7 @@ def identify(
     from ..recorded.identify import request_of
 
     check_new(output, force)
+    check_suffix(output, ".parquet")
     rating, units = (rated_voltage_v, rated_power_va), (voltage_unit, current_unit)
     request = request_of(files, manifest, channels, direction, f1, sample_rate, rating, op, stable_on, units)
     outcome = identify_recordings(request, output, jobs=jobs, say=lambda text: typer.echo(text, err=True))
@@ -118,6 +120,7 @@ def import_command(
     }
     found = format_of(file, kind, reading=True)
     check_new(output, force)
+    check_suffix(output, ".parquet")
     typer.echo(import_file(file, output, found, given))
 
 

@@ -31,7 +31,7 @@ def metrics(
     from ...identify.table.read import read_table
     from ...tuning.metrics_report import format_report, write_json
 
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".json")
     content = read_table(table)
     found = _of_table(content, behind, op)
     typer.echo("\n\n".join(format_report(each) for each in found))

@@ -38,7 +38,7 @@ def surrogate(
 
     if source_voltage is not None and grid is None:
         raise WrongInput("--source-voltage is that of a grid: give --grid R+jX as well")
-    check_outputs(output, force, plot)
+    check_outputs(output, force, plot, ".parquet")
     points = [_point(text) for text in at or ()]
     model = read_surrogate(table)
     typer.echo(_summary(model))

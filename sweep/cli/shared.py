@@ -31,6 +31,8 @@ StableOn = Annotated[
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 
+FORMATS = {".parquet": "Parquet", ".json": "JSON"}
+
 
 class WrongInput(SeqsweepError):
     """A call that cannot be carried out as given."""
@@ -66,10 +68,11 @@ def planned_of(campaign: Path, settings: list[str] | None) -> tuple[Plan, Plant 
     return planned_from(config)
 
 
-def check_outputs(output: Path | None, force: bool, plot: Path | None) -> None:
+def check_outputs(output: Path | None, force: bool, plot: Path | None, suffix: str) -> None:
     """Refuse, before anything is computed, what could not be written in the end, or must not be replaced unasked."""
     if output is not None:
         check_new(output, force)
+        check_suffix(output, suffix)
     check_plot(plot)
 
 
@@ -92,6 +95,12 @@ def check_new(output: Path, force: bool) -> None:
     if output.exists() and not force:
         raise WrongInput(f"{output} exists; --force replaces it")
     check_folder(output)
+
+
+def check_suffix(output: Path, suffix: str) -> None:
+    """Refuse a name that promises another format than the one that will be in the file."""
+    if output.suffix.lower() not in ("", suffix):
+        raise WrongInput(f"{output}: what is written here is {FORMATS[suffix]}; name it {suffix}")
 
 
 def report_statuses(output: Path, statuses: dict[str, int]) -> None:

@@ -153,6 +153,23 @@ def test_a_decision_is_not_replaced_unasked_nor_put_where_it_cannot_be(tmp_path,
     assert listing(tmp_path) == ["folder.png", "taken.json"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "name", "words"),
+    [
+        (["tune", "y.parquet", "--grid", "1j", "-o"], "t.csv", "what is written here is JSON; name it .json"),
+        (["verify", "tuning.json", "-o"], "v.png", "what is written here is JSON; name it .json"),
+        (["farm", "farm.toml", "-o"], "f.txt", "what is written here is JSON; name it .json"),
+        (["surrogate", "y.parquet", "-o"], "p.csv", "what is written here is Parquet; name it .parquet"),
+        (["import", "y.csv", "-o"], "z.csv", "what is written here is Parquet; name it .parquet"),
+        (["identify", ".", "--direction", "load", "-o"], "z.csv", "what is written here is Parquet; name it .parquet"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_name_that_promises_another_format_is_refused(tmp_path, arguments, name, words):
+    assert_refused(call(*arguments, tmp_path / name), words)
+    assert listing(tmp_path) == []
+
+
 def test_a_decision_is_replaced_with_force_and_a_picture_is_drawn_again(tmp_path):
     table, out, picture = tmp_path / "y.parquet", tmp_path / "tuning.json", tmp_path / "tuning.svg"
     assert call("run", campaign(tmp_path, plant="dpmsg-v1", n=24), "-o", table).returncode == OK
