@@ -111,7 +111,7 @@ def _write(model: Surrogate, table: Path, points: list[np.ndarray], output: Path
     content = read_table(table)
     if points:
         write_predicted(output, model, points, content)
-        typer.echo(f"{output}: {len(points)} predicted operating points", err=True)
+        typer.echo(f"{output}: {len(points)} predicted operating point{'' if len(points) == 1 else 's'}", err=True)
         return
     write_surrogate(output, model, content)
     typer.echo(f"{output}: the surrogate with the sweeps that it rests on", err=True)

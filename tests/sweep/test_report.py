@@ -9,6 +9,8 @@ from html.parser import HTMLParser
 
 import pytest
 
+from seqsweep.sweep.report.handover.page import _sentence_of
+
 from ..support.commands import call, campaign
 
 
@@ -50,6 +52,15 @@ def test_the_answer_comes_first_and_every_section_is_there(page):
     assert "of 2 cases 2 stable" in before
     for title in ("Verdict", "Admittance", "What was swept", "What operators ask of a scan", "Provenance"):
         assert title in page.text
+
+
+def test_a_gain_that_was_confirmed_is_told_with_what_it_makes_of_the_device():
+    point = {"op_id": "p", "scale": 1.4, "verdict": "unstable", "margin_m": 0.95, "margin_met": False}
+    assert "Swept again" not in _sentence_of("d", point)
+    confirmed = {**point, "k": 1.214, "with_k": {"verdict": "stable"}, "margin_m_with_k": 1.403}
+    assert "Swept again with damping gain k = 1.21 in place: stable, with a margin of 1.4." in _sentence_of(
+        "d", confirmed
+    )
 
 
 def test_nothing_is_fetched_and_no_script_runs(folder, page):

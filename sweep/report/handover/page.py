@@ -98,7 +98,16 @@ def _sentence_of(device: str, point: Mapping[str, Any]) -> str:
     if point.get("margin_m") is not None:
         met = "reached" if point.get("margin_met") else "not reached"
         text += f" and a margin of {point['margin_m']:.3g} (the required one is {met})"
-    return f"{text}."
+    return f"{text}.{_with_k(point)}"
+
+
+def _with_k(point: Mapping[str, Any]) -> str:
+    """What `tune --confirm` measured with damping control in place, as a sentence; nothing where it was not asked."""
+    confirmed, k, margin = (point.get(key) for key in ("with_k", "k", "margin_m_with_k"))
+    if not confirmed or k is None:
+        return ""
+    reached = "" if margin is None else f", with a margin of {margin:.3g}"
+    return f" Swept again with damping gain k = {k:.3g} in place: {confirmed['verdict']}{reached}."
 
 
 def _title(inputs: Inputs) -> str:
