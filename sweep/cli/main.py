@@ -121,7 +121,7 @@ def _status() -> int:
         result = app(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
         error.show(file=sys.stderr)
-        if meant := _meant(arguments):
+        if "did you mean" not in error.format_message().lower() and (meant := _meant(arguments)):
             typer.echo(f"did you mean: seqsweep {meant}", err=True)
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):

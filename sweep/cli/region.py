@@ -41,10 +41,11 @@ def surrogate(
     check_outputs(output, force, plot, ".parquet")
     points = [_point(text) for text in at or ()]
     model = read_surrogate(table)
+    lines = [_line(model, point) for point in points]  # a point outside is refused before anything is said
     typer.echo(_summary(model))
     worst = None if grid is None else _worst(model, table, grid, source_voltage)
-    for point in points:
-        typer.echo(_line(model, point))
+    for line in lines:
+        typer.echo(line)
     if output is not None:
         _write(model, table, points, output)
     if plot is not None:
@@ -100,6 +101,10 @@ def _worst(model: Surrogate, table: Path, text: str, source_voltage: float | Non
     where = ", ".join(f"{value:.4g}" for value in worst.point)
     typer.echo(f"worst operating point (P, Q, |v|) = ({where}): {worst.tuning.verdict}, {margin}")
     typer.echo("It is a prediction: sweep that point and tune it before it decides anything.")
+    if source_voltage is None and model.region.varies[2]:
+        typer.echo("|v| was searched over its range like the powers; with --source-voltage it follows from the grid.")
+    else:
+        typer.echo("Points whose |v| would leave the swept range are left out.")
     return worst
 
 
