@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ...plant.errors import SeqsweepError, closest
+from ...plant.errors import SeqsweepError
 from . import bank as cli_bank
 from . import compare as cli_compare
 from . import decide as cli_decide
@@ -120,9 +120,10 @@ def _status() -> int:
     try:
         result = app(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
-        error.show(file=sys.stderr)
-        if "did you mean" not in error.format_message().lower() and (meant := _meant(arguments)):
-            typer.echo(f"did you mean: seqsweep {meant}", err=True)
+        if meant := _meant(arguments):
+            typer.echo(f"no command is called so; did you mean: seqsweep {meant}", err=True)
+        else:
+            error.show(file=sys.stderr)
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
@@ -168,11 +169,11 @@ _SYNONYMS = {
 
 
 def _meant(arguments: Sequence[str]) -> str | None:
-    """The command that an unknown first word stands for; None where it is known, or means nothing."""
+    """The command that a first word from elsewhere stands for; None where it is a command, or no word of the list."""
     word = next((argument for argument in arguments if not argument.startswith("-")), "")
     if word in _COMMANDS:
         return None
-    return _SYNONYMS.get(word.lower()) or closest(word, list(_COMMANDS))
+    return _SYNONYMS.get(word.lower())
 
 
 def _interrupted() -> int:
