@@ -288,7 +288,8 @@ def _currents(points: np.ndarray) -> np.ndarray:
 def _points_of(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     if len(responses) < LEAST_SWEEPS:
         raise SurrogateError(
-            f"{len(responses)} operating points; a surrogate needs at least {LEAST_SWEEPS}: sweep more of them"
+            f"the table holds {len(responses)} of the at least {LEAST_SWEEPS} operating points that a surrogate needs: "
+            "sweep more of them"
         )
     if len({response.f1_hz for response in responses}) > 1:
         raise SurrogateError("the table holds several fundamentals; a surrogate is of one device at one fundamental")

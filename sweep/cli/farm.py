@@ -60,7 +60,11 @@ def _read(document: Path) -> dict[str, Any]:
         return tomllib.loads(document.read_text("utf-8"))
     except FileNotFoundError:
         raise WrongInput(f"{document}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except IsADirectoryError:
+        raise WrongInput(f"{document} is a folder; name the farm file, such as farm.toml") from None
+    except UnicodeDecodeError:
+        raise WrongInput(f"{document}: no text; a farm file is TOML in UTF-8, see examples/farm/farm.toml") from None
+    except tomllib.TOMLDecodeError as error:
         raise WrongInput(f"{document}: not a TOML file: {error}") from None
 
 

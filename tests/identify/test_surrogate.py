@@ -139,7 +139,7 @@ def test_a_frequency_that_was_not_swept_is_refused():
 
 
 BAD = {
-    "too few": (lambda: swept(first_points(REGION, 1)[:3]), "3 operating points; a surrogate needs at least 4"),
+    "too few": (lambda: swept(first_points(REGION, 1)[:3]), "holds 3 of the at least 4 operating points"),
     "twice": (lambda: swept(np.vstack([first_points(REGION, 1), first_points(REGION, 1)[:1]])), "is there twice"),
     "on a line": (
         lambda: swept(np.column_stack([np.linspace(0.3, 1.2, 6), np.zeros(6), np.linspace(0.9, 1.1, 6)])),

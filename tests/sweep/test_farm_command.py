@@ -45,6 +45,13 @@ def test_a_turbine_less_lets_the_others_stand_at_smaller_angles(folder):
     assert less[0]["angle_deg"] < whole[1]["angle_deg"]
 
 
+def test_a_binary_file_or_a_folder_is_no_farm(folder):
+    for given, words in ((folder / "turbine.parquet", "no text; a farm file is TOML"), (folder, "is a folder")):
+        done = call("farm", given)
+        assert done.returncode == 2
+        assert words in done.stderr
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
