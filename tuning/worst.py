@@ -76,11 +76,7 @@ def worst_point(
         If no point of the region is admissible on this grid.
     """
     points = surrogate.region.samples(COARSE)
-    place: Callable[[np.ndarray], np.ndarray] = lambda x: x  # noqa: E731
-    if source_voltage_pu is not None:
-        assert rated_voltage_v is not None
-        voltage, rated = source_voltage_pu, rated_voltage_v
-        place = lambda x: on_grid(surrogate, grid, x, voltage, rated)  # noqa: E731
+    place = _placing(surrogate, grid, source_voltage_pu, rated_voltage_v)
     points = place(points)
     points = points[surrogate.region.holds(points)]
     if len(points) == 0:
@@ -92,6 +88,21 @@ def worst_point(
     held = set() if source_voltage_pu is None else {2}
     free = tuple(sorted({int(a) for a in np.flatnonzero(surrogate.region.varies)} - held))
     return Worst(point, tune_point(surrogate.response(point), grid), points, margin, free)
+
+
+def _placing(
+    surrogate: Surrogate, grid: Grid, source_voltage_pu: float | None, rated_voltage_v: float | None
+) -> Callable[[np.ndarray], np.ndarray]:
+    """What makes of points (p, 3) those that exist on the grid: a load flow where the source's voltage is known."""
+    if source_voltage_pu is None:
+        return np.asarray
+    if rated_voltage_v is None:
+        raise SeqsweepError("a load flow needs the rated voltage (V, line-to-line RMS) that per unit refers to")
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return on_grid(surrogate, grid, points, source_voltage_pu, rated_voltage_v)
+
+    return placed
 
 
 def margins_of(surrogate: Surrogate, grid: Grid, points: np.ndarray) -> np.ndarray:
