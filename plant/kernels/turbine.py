@@ -37,22 +37,23 @@ B_RE, B_IM, Q_RE, Q_IM = range(4)
 NOTCH = 17
 N_STATES = 21
 
-# Constants of a lane: wind speed, source voltage and Thevenin impedance.
-WIND, V_S_RE, V_S_IM, GRID_R, GRID_1_L, V_CS_RE, V_CS_IM = range(21, 28)
+# Constants of a lane: wind speed, source voltage and Thevenin impedance; reactive current asked for, and what the limit
+# of the current leaves to i_d.
+WIND, V_S_RE, V_S_IM, GRID_R, GRID_1_L, V_CS_RE, V_CS_IM, I_Q_REF, I_D_LIMIT = range(21, 30)
 # The sample at the start of the last step (voltage at the PCC, current out of the turbine).
-V_RE, V_IM, I_RE, I_IM = range(28, 32)
+V_RE, V_IM, I_RE, I_IM = range(30, 34)
 # Demodulation: phasor exp(j (2 pi f - w1) t), the taper's phasor, their rotations per step, its gain.
-LINE_RE, LINE_IM, LINE_ROT_RE, LINE_ROT_IM = range(32, 36)
-TAPER_RE, TAPER_IM, TAPER_ROT_RE, TAPER_ROT_IM, TAPER_GAIN = range(36, 41)
+LINE_RE, LINE_IM, LINE_ROT_RE, LINE_ROT_IM = range(34, 38)
+TAPER_RE, TAPER_IM, TAPER_ROT_RE, TAPER_ROT_IM, TAPER_GAIN = range(38, 43)
 # Sums of w re(x) re(line), w im(x) im(line), w im(x) re(line), w re(x) im(line), for v and for i.
-SUM_V, SUM_I = 41, 45
+SUM_V, SUM_I = 43, 47
 # Compensation: impedance Rv + j w_r Lv (ohm), centre w0 and width 2 xi w0 of the notch (rad/s).
-COMP_R, COMP_X, NOTCH_W0, NOTCH_WIDTH = range(49, 53)
+COMP_R, COMP_X, NOTCH_W0, NOTCH_WIDTH = range(51, 55)
 # Fault at the PCC: v_pcc = share w + skew exp(-2j w1 t) conj(w) of the voltage w without it; the skew is kept turned.
-FAULT_SHARE, FAULT_SKEW_RE, FAULT_SKEW_IM = range(53, 56)
+FAULT_SHARE, FAULT_SKEW_RE, FAULT_SKEW_IM = range(55, 58)
 # The source of the step at hand, but for the first tone: voltage at its start, middle and end; the shunt
 # voltage that it forces there.
-SOURCE = 56
+SOURCE = 58
 N_SOURCE_SLOTS = 12
 # Tones: phasor in the dq frame, rotation per half step, response of the ideal source's shunt. The first
 # one has a place of its own before the list.
@@ -147,20 +148,38 @@ def _machine(x, wind, p):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _device(x, v_re, v_im, u_re, u_im, c, s, wind, p):
+def _missing(i_q, i_q_ref):
+    """Error of the reactive current; see `_asked` for a set-point of None."""
+    if i_q_ref is None:
+        return -i_q
+    return i_q_ref - i_q
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _limited(i_d_wanted, i_d_limit, p):
+    """The reference of i_d within its limit; see `_asked` for a limit of None."""
+    if i_d_limit is None:
+        return min(max(i_d_wanted, -p.i_limit_a), p.i_limit_a)
+    return min(max(i_d_wanted, -i_d_limit), i_d_limit)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _device(x, v_re, v_im, u_re, u_im, c, s, asked, p):
     """Derivatives of the device's thirteen states at PCC voltage ``v`` and PLL angle (c, s).
 
-    ``u`` is the voltage that the controller is told; without compensation it is ``v``.
+    ``u`` is the voltage that the controller is told; without compensation it is ``v``. ``asked`` is (wind, reactive
+    current, limit of |i_d|); see `_asked`.
     """
+    wind, i_q_ref, i_d_limit = asked
     i_re, i_im, v_dc = x[I_L_RE], x[I_L_IM], x[V_DC]
     i_d, i_q = c * i_re + s * i_im, c * i_im - s * i_re
     v_q = c * u_im - s * u_re
     # DC voltage control; its integrator is held back while the current reference is limited.
     error_dc = v_dc - p.v_dc_ref_v
     i_d_wanted = p.k_dcp * error_dc + x[XI_DC]
-    i_d_ref = min(max(i_d_wanted, -p.i_limit_a), p.i_limit_a)
+    i_d_ref = _limited(i_d_wanted, i_d_limit, p)
     # Current control; the converter gives v_dc / sqrt(2) at most, line-to-line RMS.
-    error_d, error_q = i_d_ref - i_d, -i_q
+    error_d, error_q = i_d_ref - i_d, _missing(i_q, i_q_ref)
     v_d_wanted = p.k_p * error_d + x[XI_D] - p.k_rd_ohm * i_q
     v_q_wanted = p.k_p * error_q + x[XI_Q] + p.k_rd_ohm * i_d
     wanted_squared = v_d_wanted * v_d_wanted + v_q_wanted * v_q_wanted
@@ -183,11 +202,11 @@ def _device(x, v_re, v_im, u_re, u_im, c, s, wind, p):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _behind_grid(x, v_re, v_im, c, s, wind, r_grid, inverse_l_grid, p):
+def _behind_grid(x, v_re, v_im, c, s, asked, r_grid, inverse_l_grid, p):
     """Derivatives of all states with the device behind a Thevenin source ``v``."""
     i_f_re, i_f_im = x[I_L_RE] - x[I_G_RE], x[I_L_IM] - x[I_G_IM]
     v_pcc_re, v_pcc_im = x[V_C_RE] + p.r_f_ohm * i_f_re, x[V_C_IM] + p.r_f_ohm * i_f_im
-    return _device(x, v_pcc_re, v_pcc_im, v_pcc_re, v_pcc_im, c, s, wind, p) + (
+    return _device(x, v_pcc_re, v_pcc_im, v_pcc_re, v_pcc_im, c, s, asked, p) + (
         i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
         i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
         (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
@@ -225,11 +244,11 @@ def _notch(n, i_re, i_im, block, w1):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _ideal_compensated(x, n, v_re, v_im, v_c_re, v_c_im, c, s, wind, block, p):
+def _ideal_compensated(x, n, v_re, v_im, v_c_re, v_c_im, c, s, asked, block, p):
     """Derivatives of device and notch at PCC voltage ``v``, shunt voltage ``v_c``."""
     i_re, i_im = x[I_L_RE] - (v_re - v_c_re) / p.r_f_ohm, x[I_L_IM] - (v_im - v_c_im) / p.r_f_ohm
     u_re, u_im = _told(v_re, v_im, i_re, i_im, n, block)
-    return _device(x, v_re, v_im, u_re, u_im, c, s, wind, p), _notch(n, i_re, i_im, block, p.w1_rad_s)
+    return _device(x, v_re, v_im, u_re, u_im, c, s, asked, p), _notch(n, i_re, i_im, block, p.w1_rad_s)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -246,15 +265,15 @@ def _at_pcc(x, fault, p):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _grid_compensated(x, n, v_re, v_im, fault, c, s, lane, block, p):
-    """Derivatives of all states and of the notch behind a Thevenin source ``v``; ``lane`` is (wind, R, 1/L).
+    """Derivatives of all states and of the notch behind a Thevenin source ``v``; ``lane`` is (asked, R, 1/L).
 
     The line carries i_g less the fault's current.
     """
-    wind, r_grid, inverse_l_grid = lane
+    asked, r_grid, inverse_l_grid = lane
     v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(x, fault, p)
     i_re, i_im = x[I_L_RE] - i_f_re, x[I_L_IM] - i_f_im
     u_re, u_im = _told(v_pcc_re, v_pcc_im, i_re, i_im, n, block)
-    return _device(x, v_pcc_re, v_pcc_im, u_re, u_im, c, s, wind, p) + (
+    return _device(x, v_pcc_re, v_pcc_im, u_re, u_im, c, s, asked, p) + (
         i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
         i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
         (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
@@ -316,6 +335,18 @@ def _load_13(x, lane):
         x[11 * LANES + lane],
         x[12 * LANES + lane],
     )
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _asked(x, lane, reactive):
+    """What the lane's device is asked for: wind speed, reactive current, and the limit of |i_d|.
+
+    ``reactive`` is None where no lane of a batch is asked for reactive power: numba then compiles the kernel without
+    it, to the last bit the one that knows no reactive power (a sum with a zero would be rounded in another order).
+    """
+    if reactive is None:
+        return x[WIND * LANES + lane], None, None
+    return x[WIND * LANES + lane], x[I_Q_REF * LANES + lane], x[I_D_LIMIT * LANES + lane]
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -473,11 +504,11 @@ def _source(x, lane):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal(x, p, h, decay):
+def _step_ideal(reactive, x, p, h, decay):
     """One step with the source at the PCC itself; ``decay`` is the shunt's over a step."""
     decay_re, decay_im = decay
     for lane in range(LANES):
-        wind = x[WIND * LANES + lane]
+        asked = _asked(x, lane, reactive)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
         y = _load_13(x, lane)
         v_c_re, v_c_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
@@ -494,25 +525,25 @@ def _step_ideal(x, p, h, decay):
         x[V_C_RE * LANES + lane] = forced[4] + rest_re * decay_re - rest_im * decay_im
         x[V_C_IM * LANES + lane] = forced[5] + rest_im * decay_re + rest_re * decay_im
         c, s = _cos_sin(y[DELTA])
-        k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, wind, p)
+        k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, asked, p)
         z = _moved_13(y, 0.5 * h, k1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
+        k2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, asked, p)
         z = _moved_13(y, 0.5 * h, k2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, wind, p)
+        k3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, asked, p)
         z = _moved_13(y, h, k3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, wind, p)
+        k4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, asked, p)
         y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         _store_13(x, lane, y)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin(x, p, h):
+def _step_thevenin(reactive, x, p, h):
     """One step behind the lane's Thevenin impedance."""
     for lane in range(LANES):
-        wind, r, l_1 = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+        asked, r, l_1 = _asked(x, lane, reactive), x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
         y = _load_13(x, lane) + (
             x[V_C_RE * LANES + lane],
@@ -529,16 +560,16 @@ def _step_thevenin(x, p, h):
             y[I_G_IM],
         )
         c, s = _cos_sin(y[DELTA])
-        k1 = _behind_grid(y, v0_re, v0_im, c, s, wind, r, l_1, p)
+        k1 = _behind_grid(y, v0_re, v0_im, c, s, asked, r, l_1, p)
         z = _moved_17(y, 0.5 * h, k1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
+        k2 = _behind_grid(z, v1_re, v1_im, cz, sz, asked, r, l_1, p)
         z = _moved_17(y, 0.5 * h, k2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3 = _behind_grid(z, v1_re, v1_im, cz, sz, wind, r, l_1, p)
+        k3 = _behind_grid(z, v1_re, v1_im, cz, sz, asked, r, l_1, p)
         z = _moved_17(y, h, k3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4 = _behind_grid(z, v2_re, v2_im, cz, sz, wind, r, l_1, p)
+        k4 = _behind_grid(z, v2_re, v2_im, cz, sz, asked, r, l_1, p)
         y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         _store_13(x, lane, y)
         x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = y[V_C_RE], y[V_C_IM]
@@ -546,11 +577,11 @@ def _step_thevenin(x, p, h):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal_compensated(x, p, h, decay):
+def _step_ideal_compensated(reactive, x, p, h, decay):
     """`_step_ideal` with the lanes' compensation before the controller; ``decay`` is over half a step."""
     half_re, half_im = decay
     for lane in range(LANES):
-        wind, block = x[WIND * LANES + lane], _load_4(x, COMP_R, lane)
+        asked, block = _asked(x, lane, reactive), _load_4(x, COMP_R, lane)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
         y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
         # Shunt: exact forced response plus the decaying rest of what went before.
@@ -570,16 +601,16 @@ def _step_ideal_compensated(x, p, h, decay):
             y[I_L_IM] - (v0_im - c0_im) / p.r_f_ohm,
         )
         c, s = _cos_sin(y[DELTA])
-        k1, m1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, wind, block, p)
+        k1, m1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, asked, block, p)
         z, o = _moved_13(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2, m2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
+        k2, m2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, asked, block, p)
         z, o = _moved_13(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3, m3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, wind, block, p)
+        k3, m3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, asked, block, p)
         z, o = _moved_13(y, h, k3), _moved_4(n, h, m3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4, m4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, wind, block, p)
+        k4, m4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, asked, block, p)
         y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
         _store_13(x, lane, y)
@@ -587,11 +618,11 @@ def _step_ideal_compensated(x, p, h, decay):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin_compensated(x, p, h, turn):
+def _step_thevenin_compensated(reactive, x, p, h, turn):
     """`_step_thevenin` with compensation, and the lanes' fault at the PCC, turned by ``turn`` a half step."""
     turn_re, turn_im = turn
     for lane in range(LANES):
-        constants = x[WIND * LANES + lane], x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+        constants = _asked(x, lane, reactive), x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         block = _load_4(x, COMP_R, lane)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
         share, re, im = (
@@ -647,11 +678,13 @@ def _keep(x, slot, kept, block):
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal(table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
     """Advance all lanes by blocks, with the source at the PCC itself.
 
     Parameters
     ----------
+    reactive : True or None
+        Whether a lane is asked for reactive power; see `_asked`.
     table : (n, 4, LANES) array
         Source voltage (re, im) and the shunt voltage that it forces, at the half steps of one period from the first
         step on; of no rows where the source is made of tones.
@@ -678,12 +711,12 @@ def advance_ideal(table, x, n_tones, p, h, block_steps, slot, kept):
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_ideal(x, p, h, decay)
+            _step_ideal(reactive, x, p, h, decay)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin(table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' Thevenin impedances before the PCC."""
     _prepare_source(x, n_tones)
     row = 0
@@ -691,12 +724,12 @@ def advance_thevenin(table, x, n_tones, p, h, block_steps, slot, kept):
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_thevenin(x, p, h)
+            _step_thevenin(reactive, x, p, h)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal_compensated(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the source at the PCC and the lanes' compensation before the controller."""
     decay = _shunt_decay(p, 0.5 * h)
     _prepare_source(x, n_tones)
@@ -705,12 +738,12 @@ def advance_ideal_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_ideal_compensated(x, p, h, decay)
+            _step_ideal_compensated(reactive, x, p, h, decay)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin_compensated(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' impedances, compensations and faults."""
     turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
     _prepare_source(x, n_tones)
@@ -719,12 +752,12 @@ def advance_thevenin_compensated(table, x, n_tones, p, h, block_steps, slot, kep
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_thevenin_compensated(x, p, h, turn)
+            _step_thevenin_compensated(reactive, x, p, h, turn)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_tracing(x, p, h, sample_steps, samples):
+def advance_tracing(reactive, x, p, h, sample_steps, samples):
     """Advance behind the grid, compensated; ``samples[k]`` is the first lane before each ``sample_steps`` steps.
 
     Columns: v_pcc (re, im), i_g (re, im), v_dc, w_m, delta.
@@ -734,7 +767,7 @@ def advance_tracing(x, p, h, sample_steps, samples):
     for k in range(samples.shape[0]):
         samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
         for step in range(sample_steps):
-            _step_thevenin_compensated(x, p, h, turn)
+            _step_thevenin_compensated(reactive, x, p, h, turn)
             if step == 0:
                 for quantity in range(4):
                     samples[k, quantity] = x[(V_RE + quantity) * LANES]

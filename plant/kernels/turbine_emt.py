@@ -31,8 +31,10 @@ from .turbine import (
     DELTA,
     GRID_1_L,
     GRID_R,
+    I_D_LIMIT,
     I_G_RE,
     I_L_RE,
+    I_Q_REF,
     I_RE,
     I_SD,
     I_SQ,
@@ -233,15 +235,24 @@ def _pll_to_end(x, lane, v, unit, angle, p, h):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _dc_to_middle(x, lane, i, power_in, p, h):
-    """DC voltage (V) and current reference (A) in the middle, and the volts a watt adds over the step; xi_dc moves.
+def _reference(reactive, x, lane, i_d_wanted, p):
+    """Reference of the current within its limit (A): d + j q, but d alone where ``reactive`` is None."""
+    if reactive is None:
+        return min(max(i_d_wanted, -p.i_limit_a), p.i_limit_a)
+    limit = x[I_D_LIMIT * LANES + lane]
+    return complex(min(max(i_d_wanted, -limit), limit), x[I_Q_REF * LANES + lane])
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _dc_to_middle(reactive, x, lane, i, power_in, p, h):
+    """DC voltage (V), current reference (A) in the middle, and the volts a watt adds over the step; xi_dc moves.
 
     ``i`` at the start, ``power_in`` in the middle.
     """
     v_dc, xi_dc = x[V_DC * LANES + lane], x[XI_DC * LANES + lane]
     # What the converter takes at the start.
-    i_d_ref = min(max(p.k_dcp * (v_dc - p.v_dc_ref_v) + xi_dc, -p.i_limit_a), p.i_limit_a)
-    v_conv = (_get(x, XI_D, lane) + p.k_p * i_d_ref) * _get(x, UNIT, lane) - p.k_p * i  # but for what turns with i
+    i_ref = _reference(reactive, x, lane, p.k_dcp * (v_dc - p.v_dc_ref_v) + xi_dc, p)
+    v_conv = (_get(x, XI_D, lane) + p.k_p * i_ref) * _get(x, UNIT, lane) - p.k_p * i  # but for what turns with i
     power_out = _dot(v_conv, i)
     inverse = 1.0 / v_dc
     per_w = h / p.c_dc_f * inverse
@@ -249,9 +260,9 @@ def _dc_to_middle(x, lane, i, power_in, p, h):
     v_dc_mid = v_dc + rise
     error_dc = v_dc_mid - p.v_dc_ref_v
     i_d_wanted = (p.k_dcp + 0.5 * h * p.k_dci) * error_dc + xi_dc
-    i_d_ref = min(max(i_d_wanted, -p.i_limit_a), p.i_limit_a)
-    x[XI_DC * LANES + lane] = xi_dc + h * (p.k_dci * error_dc + p.k_dci / p.k_dcp * (i_d_ref - i_d_wanted))
-    return v_dc_mid, i_d_ref, per_w - per_w * inverse * rise
+    i_ref = _reference(reactive, x, lane, i_d_wanted, p)
+    x[XI_DC * LANES + lane] = xi_dc + h * (p.k_dci * error_dc + p.k_dci / p.k_dcp * (i_ref.real - i_d_wanted))
+    return v_dc_mid, i_ref, per_w - per_w * inverse * rise
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -262,11 +273,11 @@ def _limited(wanted, v_dc):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _control_to_end(x, lane, i_d_ref, i, unit, lost, p, h):
+def _control_to_end(reactive, x, lane, i_ref, i, unit, lost, p, h):
     """The current controller's integrators go one step; ``lost`` is what the limit took (V), ``i`` the current (A)."""
     slope = (p.k_i / p.k_p * lost - p.k_i * i) * unit.conjugate()
-    x[XI_D * LANES + lane] += h * (p.k_i * i_d_ref + slope.real)
-    x[XI_Q * LANES + lane] += h * slope.imag
+    x[XI_D * LANES + lane] += h * (p.k_i * i_ref.real + slope.real)
+    x[XI_Q * LANES + lane] += h * slope.imag if reactive is None else h * (p.k_i * i_ref.imag + slope.imag)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -370,7 +381,7 @@ def _further_tones_behind_line(x, n_tones):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal(x, n_tones, p, h, decay, w):
+def _step_ideal(reactive, x, n_tones, p, h, decay, w):
     """One step with the source at the PCC itself; ``decay`` is the shunt's over a step, ``w`` a `_Current`."""
     if n_tones > 1:
         _further_tones_at_pcc(x, n_tones)
@@ -389,9 +400,9 @@ def _step_ideal(x, n_tones, p, h, decay, w):
         v_third, v_mean = (2.0 * v0 + 8.0 * v1 - v2) * (1.0 / 9.0), (v0 + 4.0 * v1 + v2) * (1.0 / 6.0)
         unit, angle = _pll_to_middle(x, lane, v_third, p, h)
         power_in = _machine(x, lane, p, h)
-        v_dc, i_d_ref, per_w = _dc_to_middle(x, lane, i, power_in, p, h)
-        u = (_get(x, XI_D, lane) + k.real * i_d_ref) * unit
-        u_counts = u * complex(1.0, w.late * angle) + (w.ramp * i_d_ref) * unit
+        v_dc, i_ref, per_w = _dc_to_middle(reactive, x, lane, i, power_in, p, h)
+        u = (_get(x, XI_D, lane) + k.real * i_ref) * unit
+        u_counts = u * complex(1.0, w.late * angle) + (w.ramp * i_ref) * unit
         free = w.keep * i + w.drive * u_counts - w.start * v0 - w.middle * v1 - w.end * v2
         mean = w.mean * (u - v_mean) - w.change * (free - i)
         wanted = u - k * mean
@@ -400,12 +411,12 @@ def _step_ideal(x, n_tones, p, h, decay, w):
         i_mid = mean + w.limit_mean * lost
         _put(x, I_L_RE, lane, free + w.limit * lost)
         x[V_DC * LANES + lane] += per_w * (power_in - share * _dot(wanted, i_mid))
-        _control_to_end(x, lane, i_d_ref, i_mid, unit, lost, p, h)
+        _control_to_end(reactive, x, lane, i_ref, i_mid, unit, lost, p, h)
         _pll_to_end(x, lane, v_mean, unit, angle, p, h)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin(x, n_tones, p, h, branches):
+def _step_thevenin(reactive, x, n_tones, p, h, branches):
     """One step behind the lane's Thevenin impedance; ``branches`` from `_branches`.
 
     In the middle of the step v and i_L are what the network remembers, plus what u drives; u is the
@@ -420,14 +431,14 @@ def _step_thevenin(x, n_tones, p, h, branches):
         _listen(x, lane, v0, i_g)
         unit, angle = _pll_to_middle(x, lane, v0, p, h)
         power_in = _machine(x, lane, p, h)
-        v_dc, i_d_ref, per_w = _dc_to_middle(x, lane, i, power_in, p, h)
+        v_dc, i_ref, per_w = _dc_to_middle(reactive, x, lane, i, power_in, p, h)
         v_s = _get(x, V_S_RE, lane) + _get(x, V_MEAN, lane) + _tone_behind_line(x, lane)
         g_line, drive_v = _get(x, G_LINE, lane), _get(x, DRIVE_V, lane)
         from_line = _get(x, KEEP_LINE, lane) * i_g - g_line * v_s
         from_i = branches.from_i * i
         v_at_rest = drive_v * (from_i + branches.from_v_c * v_c - branches.r_c * from_line)
         i_at_rest, drive_i = branches.g_c * (from_i - v_at_rest), branches.g_c * (1.0 - drive_v)
-        u = (_get(x, XI_D, lane) + k.real * i_d_ref) * unit
+        u = (_get(x, XI_D, lane) + k.real * i_ref) * unit
         wanted = u - k * i_at_rest - (k * drive_i) * u
         share = _limited(wanted, v_dc)
         lost = (share - 1.0) * wanted
@@ -439,7 +450,7 @@ def _step_thevenin(x, n_tones, p, h, branches):
         _put(x, V_C_RE, lane, 2.0 * v_c_mid - v_c)
         _put(x, I_G_RE, lane, 2.0 * i_g_mid - i_g)
         x[V_DC * LANES + lane] += per_w * (power_in - share * _dot(wanted, i_mid))
-        _control_to_end(x, lane, i_d_ref, i_mid, unit, lost, p, h)
+        _control_to_end(reactive, x, lane, i_ref, i_mid, unit, lost, p, h)
         _pll_to_end(x, lane, v1, unit, angle, p, h)
 
 
@@ -537,7 +548,7 @@ def _keep(x, slot, kept, block):
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal(reactive, x, n_tones, p, h, block_steps, slot, kept):
     """Advance all lanes by blocks, with the source at the PCC itself; see `turbine.advance_ideal`."""
     # What is left, after a step, of a free voltage of the shunt.
     decay = _decay(h * complex(1.0 / (p.r_f_ohm * p.c_f_f), p.w1_rad_s))
@@ -549,14 +560,14 @@ def advance_ideal(x, n_tones, p, h, block_steps, slot, kept):
     for block in range(kept.shape[0]):
         _clear(x, SUM_V, 8)
         for _ in range(block_steps):
-            _step_ideal(x, n_tones, p, h, decay, weights)
+            _step_ideal(reactive, x, n_tones, p, h, decay, weights)
         _keep(x, slot, kept, block)
     if n_tones > 0:
         _return_tone(x, 0)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin(x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin(reactive, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' Thevenin impedances before the PCC."""
     branches = _branches(p, h)
     _clear(x, V_MEAN, 2)
@@ -567,7 +578,7 @@ def advance_thevenin(x, n_tones, p, h, block_steps, slot, kept):
     for block in range(kept.shape[0]):
         _clear(x, SUM_V, 8)
         for _ in range(block_steps):
-            _step_thevenin(x, n_tones, p, h, branches)
+            _step_thevenin(reactive, x, n_tones, p, h, branches)
         _keep(x, slot, kept, block)
     if n_tones > 0:
         _return_tone(x, 0)

@@ -32,7 +32,7 @@ class GridSideEquilibrium(NamedTuple):
     v_pcc : complex
         Voltage at the PCC (V), real by the choice of frame.
     i_l : complex
-        Current out of the converter (A), real because i_q* = 0.
+        Current out of the converter (A), real where no reactive power is asked for.
     v_c : complex
         Voltage of the shunt capacitor (V).
     v_conv : complex
@@ -43,6 +43,8 @@ class GridSideEquilibrium(NamedTuple):
         Outputs of the current PI's integrators (V).
     xi_dc : float
         Output of the DC voltage PI's integrator (A), equal to i_d.
+    i_q_ref : float
+        Set-point of the reactive current (A): -Q over |v_pcc|.
     """
 
     v_pcc: complex
@@ -53,6 +55,7 @@ class GridSideEquilibrium(NamedTuple):
     xi_d: float
     xi_q: float
     xi_dc: float
+    i_q_ref: float
 
 
 def machine_equilibrium(p: TurbineParameters, power_w: float) -> MachineEquilibrium:
@@ -78,27 +81,39 @@ def machine_equilibrium(p: TurbineParameters, power_w: float) -> MachineEquilibr
     )
 
 
-def grid_side_equilibrium(p: TurbineParameters, power_w: float, terminal_voltage_v: float) -> GridSideEquilibrium:
-    """Grid side that carries ``power_w`` (W, out of the converter) at |v_pcc| (V, line-to-line RMS)."""
+def grid_side_equilibrium(p: TurbineParameters, power_va: complex, terminal_voltage_v: float) -> GridSideEquilibrium:
+    """Grid side that carries ``power_va`` (W + j var, out of the converter) at |v_pcc| (V, line-to-line RMS).
+
+    Notes
+    -----
+    The active power is P = Re(v_conv conj(i_L)), and the drop j w1 Lc i_L carries none of it; the reactive power is
+    Im(v_pcc conj(i_L)): that of the converter at the PCC, without the shunt's.
+    """
     v = terminal_voltage_v
-    i_l = power_w / v  # P = Re(v_conv conj(i_L)) and the drop j w1 Lc i_L carries no power
+    i_l = complex(power_va).conjugate() / v
     v_c = v / (1.0 + 1j * p.w1_rad_s * p.r_f_ohm * p.c_f_f)
     v_conv = v + 1j * p.w1_rad_s * p.l_c_h * i_l
     xi = v_conv - 1j * p.k_rd_ohm * i_l
     return GridSideEquilibrium(
         v_pcc=complex(v),
-        i_l=complex(i_l),
+        i_l=i_l,
         v_c=v_c,
         v_conv=v_conv,
         i_g=i_l - _shunt_admittance(p) * v,
         xi_d=xi.real,
         xi_q=xi.imag,
-        xi_dc=i_l,
+        xi_dc=i_l.real,
+        i_q_ref=i_l.imag,
     )
 
 
 def thevenin_voltage(
-    p: TurbineParameters, power_w: float, terminal_voltage_v: float, r_ohm: float, l_h: float, w1: float | None = None
+    p: TurbineParameters,
+    power_va: complex,
+    terminal_voltage_v: float,
+    r_ohm: float,
+    l_h: float,
+    w1: float | None = None,
 ) -> complex:
     """Source voltage v_g (V, PLL frame) behind r + j w1 l that holds |v_pcc| at ``terminal_voltage_v``.
 
@@ -107,11 +122,11 @@ def thevenin_voltage(
     if w1 is not None:
         p = p._replace(w1_rad_s=w1)
     z = complex(r_ohm, p.w1_rad_s * l_h)
-    return terminal_voltage_v - z * grid_side_equilibrium(p, power_w, terminal_voltage_v).i_g
+    return terminal_voltage_v - z * grid_side_equilibrium(p, power_va, terminal_voltage_v).i_g
 
 
 def terminal_voltage_for_source(
-    p: TurbineParameters, power_w: float, source_voltage_v: float, r_ohm: float, l_h: float
+    p: TurbineParameters, power_va: complex, source_voltage_v: float, r_ohm: float, l_h: float
 ) -> float:
     """|v_pcc| (V) for a given |v_g| behind r + j w1 l: the upper of the two solutions.
 
@@ -122,19 +137,24 @@ def terminal_voltage_for_source(
 
     Notes
     -----
-    ``v_g = a V - Z P / V`` with ``a = 1 + Z Y_shunt``; its squared modulus times V^2 is a quadratic
+    ``v_g = a V - Z conj(S) / V`` with ``a = 1 + Z Y_shunt``; its squared modulus times V^2 is a quadratic
     equation in V^2.
     """
     z = complex(r_ohm, p.w1_rad_s * l_h)
     a = 1.0 + z * _shunt_admittance(p)
-    half = 0.5 * source_voltage_v**2 + (a * z.conjugate()).real * power_w
-    discriminant = half**2 - abs(a * z * power_w) ** 2
+    half = 0.5 * source_voltage_v**2 + (a * z.conjugate() * power_va).real
+    discriminant = half**2 - abs(a * z * power_va) ** 2
     if half <= 0.0 or discriminant < 0.0:
         raise SeqsweepError(
-            f"no equilibrium: {power_w:g} W cannot be carried by {source_voltage_v:g} V behind "
+            f"no equilibrium: {_in_words(power_va)} cannot be carried by {source_voltage_v:g} V behind "
             f"{z.real:g} + j{z.imag:g} ohm; lower the power or the impedance"
         )
     return sqrt(half + sqrt(discriminant)) / abs(a)
+
+
+def _in_words(power_va: complex) -> str:
+    reactive = f" and {power_va.imag:g} var" if power_va.imag else ""
+    return f"{power_va.real:g} W{reactive}"
 
 
 def _rotor_speed(p: TurbineParameters, power_w: float) -> float:

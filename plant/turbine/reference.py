@@ -11,6 +11,7 @@ import cmath
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from math import ceil, pi, sqrt
 
 import numpy as np
@@ -59,6 +60,8 @@ class TurbineState:
         The kernel's states, read-only; the last four are the notch's at the measurement port.
     wind_m_s : float
         Wind speed (m/s).
+    i_q_ref_a : float
+        Set-point of the reactive current (A, power-invariant), positive where it leads.
     v_source : complex
         Source voltage in the dq frame (V, power-invariant).
     source : Source
@@ -69,6 +72,7 @@ class TurbineState:
     time_s: float
     values: np.ndarray
     wind_m_s: float
+    i_q_ref_a: float
     v_source: complex
     source: Source
 
@@ -127,7 +131,7 @@ class ReferenceTurbine:
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
         u = self.parameters.u_rated_v
-        self.operating_range = OperatingRange((0.05e6, 1.35e6), (0.85 * u, 1.15 * u))
+        self.operating_range = OperatingRange((0.05e6, 1.35e6), (0.85 * u, 1.15 * u), (-0.6e6, 0.6e6))
 
     # ------------------------------------------------------------------ steady state
 
@@ -148,19 +152,14 @@ class ReferenceTurbine:
     def equilibrium(self, operating_point: OperatingPoint, source: Source) -> TurbineState:
         """The equilibrium at ``operating_point``, stable or not."""
         p = self.parameters
-        power_w, terminal_voltage_v = operating_point.active_power_w, self._terminal_voltage(operating_point, source)
-        self._check_range(power_w, terminal_voltage_v)
-        if operating_point.reactive_power_var != 0.0:
-            raise SeqsweepError(
-                f"reactive power of {operating_point.reactive_power_var / 1e6:g} Mvar was asked of {self.id}, "
-                "which has no set-point for it: leave reactive_power_mvar at 0"
-            )
-        machine = stationary.machine_equilibrium(p, power_w)
-        grid_side = stationary.grid_side_equilibrium(p, power_w, terminal_voltage_v)
+        power_va, terminal_voltage_v = _power(operating_point), self._terminal_voltage(operating_point, source)
+        self._check_range(power_va, terminal_voltage_v)
+        machine = stationary.machine_equilibrium(p, power_va.real)
+        grid_side = stationary.grid_side_equilibrium(p, power_va, terminal_voltage_v)
         self._check_limits(grid_side)
         v_source = grid_side.v_pcc
         if source.kind == "thevenin":
-            v_source = stationary.thevenin_voltage(p, power_w, terminal_voltage_v, source.r_ohm, source.l_h)
+            v_source = stationary.thevenin_voltage(p, power_va, terminal_voltage_v, source.r_ohm, source.l_h)
         turn = cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
         i_l, v_c, i_g = grid_side.i_l * turn, grid_side.v_c * turn, grid_side.i_g * turn
         values = np.array(
@@ -172,7 +171,8 @@ class ReferenceTurbine:
                 *(i_g.real, i_g.imag, i_g.imag, -i_g.real),  # the notch holds i_g back, and -1j i_g
             ]
         )
-        return self._state(0, values, machine.wind_speed_m_s, v_source * turn, source)
+        values.setflags(write=False)
+        return TurbineState(0, 0.0, values, machine.wind_speed_m_s, grid_side.i_q_ref, v_source * turn, source)
 
     def linearise(self, state: TurbineState) -> np.ndarray:
         """Poles of the small-signal system around ``state`` in the dq frame (rad/s), worst first.
@@ -190,7 +190,7 @@ class ReferenceTurbine:
         scale = 1e-5 * np.maximum(np.abs(state.values[kept]), 1.0)
         units = np.eye(kernel.N_STATES)[kept]
         moved = [state.values + sign * step * unit for step, unit in zip(scale, units, strict=True) for sign in (1, -1)]
-        jobs = [Job(self._state(state.step, x, state.wind_m_s, state.v_source, state.source), None) for x in moved]
+        jobs = [Job(self._moved(state, 0, x), None) for x in moved]
         ends = np.array([end.values[kept] for end, _ in self.run(jobs, n_steps)])
         flow = ((ends[0::2] - ends[1::2]) / (2.0 * scale[:, None])).T
         poles = np.log(np.linalg.eigvals(flow).astype(complex)) / (n_steps * self.dt_s)
@@ -219,16 +219,17 @@ class ReferenceTurbine:
             return source.voltage_v
         try:
             return stationary.terminal_voltage_for_source(
-                self.parameters, operating_point.active_power_w, source.voltage_v, source.r_ohm, source.l_h
+                self.parameters, _power(operating_point), source.voltage_v, source.r_ohm, source.l_h
             )
         except SeqsweepError as error:
             raise NotSettled(str(error)) from None
 
-    def _check_range(self, power_w: float, terminal_voltage_v: float) -> None:
+    def _check_range(self, power_va: complex, terminal_voltage_v: float) -> None:
         limits = self.operating_range
-        power = Asked("active power", power_w, limits.active_power_w, 1e6, "MW")
+        power = Asked("active power", power_va.real, limits.active_power_w, 1e6, "MW")
+        reactive = Asked("reactive power", power_va.imag, limits.reactive_power_var, 1e6, "Mvar")
         voltage = Asked("|v_pcc|", terminal_voltage_v, limits.terminal_voltage_v, self.rating.voltage_v, "pu")
-        refuse_outside(self.id, (power, voltage))
+        refuse_outside(self.id, (power, reactive, voltage))
 
     def _check_limits(self, grid_side: stationary.GridSideEquilibrium) -> None:
         p = self.parameters
@@ -239,9 +240,11 @@ class ReferenceTurbine:
         if abs(grid_side.i_l) > p.i_limit_a:
             raise NotSettled(f"the converter would need {abs(grid_side.i_l):.0f} A; its limit is {p.i_limit_a:.0f} A")
 
-    def _state(self, step: int, values: np.ndarray, wind_m_s: float, v_source: complex, source: Source) -> TurbineState:
+    def _moved(self, state: TurbineState, steps: int, values: np.ndarray) -> TurbineState:
+        """The state ``steps`` further, with other ``values``."""
         values.setflags(write=False)
-        return TurbineState(step, step * self.dt_s, values, wind_m_s, v_source, source)
+        step = state.step + steps
+        return replace(state, step=step, time_s=step * self.dt_s, values=values)
 
     # ------------------------------------------------------------------ driving
 
@@ -249,18 +252,19 @@ class ReferenceTurbine:
     def _compensated(self) -> bool:
         return self.compensation != Compensation()
 
-    def _kernel(self, source_kind: str, table: np.ndarray) -> Callable[..., None]:
-        """The kernel for a source, told its table; only that one is compiled or loaded."""
+    def _kernel(self, source_kind: str, reactive: bool, table: np.ndarray) -> Callable[..., None]:
+        """The kernel for a source, with reactive power or without, told its table; only that one is compiled."""
         from ..kernels import turbine as kernel
 
         ideal = source_kind == "ideal"
         if self.integrator == "emt":
             from ..kernels import turbine_emt
 
-            return turbine_emt.advance_ideal if ideal else turbine_emt.advance_thevenin
+            return partial(turbine_emt.advance_ideal if ideal else turbine_emt.advance_thevenin, reactive or None)
+        advance = kernel.advance_ideal if ideal else kernel.advance_thevenin
         if self._compensated:
-            return partial(kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated, table)
-        return partial(kernel.advance_ideal if ideal else kernel.advance_thevenin, table)
+            advance = kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated
+        return partial(advance, reactive or None, table)
 
     def _source_table(self, jobs: list[Job]) -> np.ndarray:
         """The jobs' sources over a period as the kernel's table, (n, 4, LANES); of no rows where tones are cheaper."""
@@ -339,7 +343,7 @@ class ReferenceTurbine:
         p = p._replace(k_opt=p.k_opt * conditions.power_scale)
         cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
         samples = np.empty((n_steps, 7))
-        kernel.advance_tracing(lanes, p, self.dt_s / cut, cut, samples)
+        kernel.advance_tracing(_kind(Job(start, None))[1] or None, lanes, p, self.dt_s / cut, cut, samples)
         (end,) = self._ends(lanes, [Job(start, None)], n_steps)
         sync = samples[:, 6] - cmath.phase(state.v_source)
         return end, Trace(self._record(start, samples), samples[:, 4], samples[:, 5], sync)
@@ -365,18 +369,22 @@ class ReferenceTurbine:
     def _batches(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
     ) -> Iterator[tuple[np.ndarray, list[int], Callable[..., None], int]]:
-        """Flat arrays of up to LANES jobs of one source kind: (array, job indices, kernel, tones)."""
+        """Flat arrays of up to LANES jobs of one kind: (array, job indices, kernel, tones).
+
+        The kind is that of the source, and whether reactive power is asked for: a job ends with the same bytes
+        whatever it is run together with.
+        """
         from ..kernels.turbine import LANES
 
-        for kind in ("ideal", "thevenin"):
-            of_kind = [m for m, job in enumerate(jobs) if job.state.source.kind == kind]
+        for kind, reactive in product(("ideal", "thevenin"), (False, True)):
+            of_kind = [m for m, job in enumerate(jobs) if _kind(job) == (kind, reactive)]
             for first in range(0, len(of_kind), LANES):
                 members = of_kind[first : first + LANES]
                 together = [jobs[m] for m in members]
                 table = self._source_table(together)
                 n_tones = 0 if len(table) else max(n_tones_of(job.injection) for job in together)
                 slots = self._fill(together, [windows[m] for m in members], block_steps, n_tones)
-                yield slots.ravel(), members, self._kernel(kind, table), n_tones
+                yield slots.ravel(), members, self._kernel(kind, reactive, table), n_tones
 
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
         from ..kernels import turbine as kernel
@@ -394,7 +402,8 @@ class ReferenceTurbine:
         state, source = job.state, job.state.source
         x = np.zeros(kernel.array_slots(n_tones))
         x[: kernel.N_STATES] = state.values
-        x[kernel.WIND] = state.wind_m_s
+        x[kernel.WIND], x[kernel.I_Q_REF] = state.wind_m_s, state.i_q_ref_a
+        x[kernel.I_D_LIMIT] = _left_to_d(self.parameters.i_limit_a, state.i_q_ref_a)
         shunt = self._shunt_voltage_ratio(self.f1_hz)
         set_complex(x, kernel.V_S_RE, state.v_source)
         set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
@@ -427,10 +436,7 @@ class ReferenceTurbine:
         from ..kernels.turbine import LANES, N_STATES
 
         values = lanes.reshape(-1, LANES)[:N_STATES].T.copy()
-        return [
-            self._state(job.state.step + n_steps, x, job.state.wind_m_s, job.state.v_source, job.state.source)
-            for job, x in zip(jobs, values, strict=False)
-        ]
+        return [self._moved(job.state, n_steps, x) for job, x in zip(jobs, values, strict=False)]
 
     def _record(self, state: TurbineState, samples: np.ndarray) -> Record:
         time_s = (state.step + np.arange(len(samples))) * self.dt_s
@@ -438,6 +444,21 @@ class ReferenceTurbine:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+
+
+def _kind(job: Job) -> tuple[str, bool]:
+    """Kind of the source, and whether reactive power is asked for."""
+    return job.state.source.kind, job.state.i_q_ref_a != 0.0
+
+
+def _power(operating_point: OperatingPoint) -> complex:
+    """Out of the converter (W + j var)."""
+    return complex(operating_point.active_power_w, operating_point.reactive_power_var)
+
+
+def _left_to_d(i_limit_a: float, i_q_ref_a: float) -> float:
+    """What the limit of the current leaves to |i_d| (A); all of it, to the last bit, where i_q* is zero."""
+    return i_limit_a * sqrt(1.0 - (i_q_ref_a / i_limit_a) ** 2)
 
 
 def _checked_integrator(integrator: str, block: Compensation) -> str:

@@ -278,7 +278,7 @@ def test_lanes_are_vector_code(name):
     kernel = njit(nogil=True, fastmath=turbine._FAST, error_model="numpy")(getattr(turbine, name).py_func)
     kept = np.empty((1, 8, turbine.LANES))
     table, x = np.empty((0, 4, turbine.LANES)), np.ones(turbine.array_slots(0) * turbine.LANES)
-    kernel(table, x, 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
+    kernel(None, table, x, 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
     (code,) = kernel.inspect_asm().values()
     if "ymm" not in code and "zmm" not in code:
         pytest.skip("this processor has no wide vectors")

@@ -160,7 +160,7 @@ def test_lanes_are_vector_code(name):
         pytest.skip("nothing is compiled")
     kernel = njit(nogil=True, fastmath=turbine_emt._FAST, error_model="numpy")(getattr(turbine_emt, name).py_func)
     kept = np.empty((1, 8, turbine.LANES))
-    kernel(np.ones(turbine.array_slots(0) * turbine.LANES), 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
+    kernel(None, np.ones(turbine.array_slots(0) * turbine.LANES), 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
     (code,) = kernel.inspect_asm().values()
     if "ymm" not in code and "zmm" not in code:
         pytest.skip("this processor has no wide vectors")

@@ -273,11 +273,6 @@ def test_wrong_parameters_are_refused(parameters, words):
         GridForming(**parameters)
 
 
-def test_turbine_refuses_reactive_power():
-    with pytest.raises(ValueError, match="no set-point for it"):
-        make_plant("dpmsg-v1").equilibrium(OperatingPoint(0.65e6, U, 1e5), Source())
-
-
 def test_notch_at_the_port_is_the_equations():
     """A compensated device sees v - (R + j X) H_NF i_g: poles against the oracle's, with the notch added by hand."""
     gain, r_ohm, l_h, hz = -0.7, 0.01, 2e-4, 77.0

@@ -4,7 +4,8 @@ The right-hand side is written here afresh, in real numbers only, so that its Ja
 the complex step to the last digit. Nothing is shared with the plant but the parameters' values.
 
 All vectors are power-invariant dq pairs (|v| = line-to-line RMS). The grid's frame rotates at w1 with
-d on the PCC voltage; the machine's on its flux. ``delta`` is the PLL's angle against the grid's frame.
+d on the PCC voltage; the machine's on its flux. ``delta`` is the PLL's angle against the grid's frame. Reactive
+power ``q_var`` (var, out of the converter at the PCC) is a constant i_q* = -q_var / |v_pcc|.
 """
 
 from __future__ import annotations
@@ -53,12 +54,14 @@ class Linear:
     wind: float
 
 
-def rhs(x: np.ndarray, v_pcc: np.ndarray, wind: float, p: TurbineParameters = TABLE_I) -> np.ndarray:
-    """Time derivative (15,) of the state under the PCC voltage dq (2,) (V) and the wind (m/s).
+def rhs(
+    x: np.ndarray, v_pcc: np.ndarray, wind: float, p: TurbineParameters = TABLE_I, i_q_ref: float = 0.0
+) -> np.ndarray:
+    """Time derivative (15,) of the state under the PCC voltage dq (2,) (V) and the wind (m/s), i_q* in A.
 
     Without limits: valid while the converter voltage and the current reference stay within theirs.
     """
-    return np.concatenate([_grid_side(x, v_pcc, p), _machine_side(x, wind, p)])
+    return np.concatenate([_grid_side(x, v_pcc, p, i_q_ref), _machine_side(x, wind, p)])
 
 
 def current(x: np.ndarray, v_pcc: np.ndarray, p: TurbineParameters = TABLE_I) -> np.ndarray:
@@ -67,22 +70,28 @@ def current(x: np.ndarray, v_pcc: np.ndarray, p: TurbineParameters = TABLE_I) ->
 
 
 def closed_rhs(
-    x: np.ndarray, v_g: np.ndarray, wind: float, r_ohm: float, l_h: float, p: TurbineParameters = TABLE_I
+    x: np.ndarray,
+    v_g: np.ndarray,
+    wind: float,
+    r_ohm: float,
+    l_h: float,
+    p: TurbineParameters = TABLE_I,
+    i_q_ref: float = 0.0,
 ) -> np.ndarray:
     """Time derivative (17,) of turbine and line; the last two states are i_g (A, towards the grid)."""
     turbine, i_g = x[:15], x[15:]
     v_pcc = turbine[2:4] + p.r_f_ohm * (turbine[0:2] - i_g)
     di_g = (v_pcc - v_g - r_ohm * i_g) / l_h - p.w1_rad_s * _j(i_g)
-    return np.concatenate([rhs(turbine, v_pcc, wind, p), di_g])
+    return np.concatenate([rhs(turbine, v_pcc, wind, p, i_q_ref), di_g])
 
 
-def linearise(power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I) -> Linear:
+def linearise(power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I, q_var: float = 0.0) -> Linear:
     """Linearisation at P_machine (W) and |v_pcc| (V, line-to-line RMS) on an ideal source."""
-    x, wind = equilibrium(power_w, terminal_voltage_v, p)
-    v_pcc = np.array([terminal_voltage_v, 0.0])
+    x, wind = equilibrium(power_w, terminal_voltage_v, p, q_var)
+    v_pcc, i_q_ref = np.array([terminal_voltage_v, 0.0]), -q_var / terminal_voltage_v
     return Linear(
-        A=_jacobian(lambda z: rhs(z, v_pcc, wind, p), x),
-        B=_jacobian(lambda v: rhs(x, v, wind, p), v_pcc),
+        A=_jacobian(lambda z: rhs(z, v_pcc, wind, p, i_q_ref), x),
+        B=_jacobian(lambda v: rhs(x, v, wind, p, i_q_ref), v_pcc),
         C=_jacobian(lambda z: current(z, v_pcc, p), x),
         D=_jacobian(lambda v: current(x, v, p), v_pcc),
         x=x,
@@ -92,25 +101,27 @@ def linearise(power_w: float, terminal_voltage_v: float, p: TurbineParameters = 
 
 
 def admittance_pn(
-    f_hz: np.ndarray, power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I
+    f_hz: np.ndarray, power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I, q_var: float = 0.0
 ) -> np.ndarray:
     """Sequence admittance (n, 2, 2) in S at signed frequencies (n,) in Hz, phase frame.
 
     Ypn(s) = T Ydq(s - j w1) T^-1.
     """
-    m = linearise(power_w, terminal_voltage_v, p)
+    m = linearise(power_w, terminal_voltage_v, p, q_var)
     s = 1j * (2.0 * pi * np.atleast_1d(np.asarray(f_hz, dtype=float)) - p.w1_rad_s)
     y_dq = m.C @ np.linalg.solve(s[:, None, None] * np.eye(len(m.x)) - m.A, m.B.astype(complex)) + m.D
     return T_PN @ y_dq @ np.linalg.inv(T_PN)
 
 
-def equilibrium(power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I) -> tuple[np.ndarray, float]:
+def equilibrium(
+    power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I, q_var: float = 0.0
+) -> tuple[np.ndarray, float]:
     """State (15,) and wind speed (m/s) with a vanishing right-hand side and P_machine = ``power_w``."""
-    v_pcc = np.array([terminal_voltage_v, 0.0])
+    v_pcc, i_q_ref = np.array([terminal_voltage_v, 0.0]), -q_var / terminal_voltage_v
 
     def residual(z: np.ndarray) -> np.ndarray:
         excess = machine_power(z[:15], p) - power_w
-        return np.append(rhs(z[:15], v_pcc, z[15], p), excess)
+        return np.append(rhs(z[:15], v_pcc, z[15], p, i_q_ref), excess)
 
     z = _newton(residual, _guess(power_w, terminal_voltage_v, p))
     return z[:15], float(z[15])
@@ -127,7 +138,12 @@ def machine_voltage(x: np.ndarray, p: TurbineParameters = TABLE_I) -> np.ndarray
 
 
 def terminal_voltage(
-    power_w: float, r_ohm: float, l_h: float, source_voltage_v: float, p: TurbineParameters = TABLE_I
+    power_w: float,
+    r_ohm: float,
+    l_h: float,
+    source_voltage_v: float,
+    p: TurbineParameters = TABLE_I,
+    q_var: float = 0.0,
 ) -> float:
     """|v_pcc| (V) on a Thevenin grid: the upper solution, bracketed by the nose of the curve.
 
@@ -138,7 +154,7 @@ def terminal_voltage(
     """
 
     def excess(v: float) -> float:
-        return abs(source_voltage(power_w, v, r_ohm, l_h, p)) - source_voltage_v
+        return abs(source_voltage(power_w, v, r_ohm, l_h, p, q_var)) - source_voltage_v
 
     nose = minimize_scalar(excess, bounds=(0.05 * source_voltage_v, 2.0 * source_voltage_v), method="bounded").x
     if excess(nose) > 0.0:
@@ -154,18 +170,20 @@ def closed_loop_poles(
     source_voltage_v: float | None = None,
     terminal_voltage_v: float | None = None,
     p: TurbineParameters = TABLE_I,
+    q_var: float = 0.0,
 ) -> np.ndarray:
     """Poles (17,) of turbine and Thevenin grid in the dq frame (rad/s); give exactly one voltage."""
     if (source_voltage_v is None) == (terminal_voltage_v is None):
         raise ValueError("give exactly one of source_voltage_v and terminal_voltage_v")
     if terminal_voltage_v is None:
-        terminal_voltage_v = terminal_voltage(power_w, r_ohm, l_h, source_voltage_v, p)
-    x, wind = equilibrium(power_w, terminal_voltage_v, p)
+        terminal_voltage_v = terminal_voltage(power_w, r_ohm, l_h, source_voltage_v, p, q_var)
+    x, wind = equilibrium(power_w, terminal_voltage_v, p, q_var)
+    i_q_ref = -q_var / terminal_voltage_v
     i_g = -current(x, np.array([terminal_voltage_v, 0.0]), p)
-    v_g = source_voltage(power_w, terminal_voltage_v, r_ohm, l_h, p)
+    v_g = source_voltage(power_w, terminal_voltage_v, r_ohm, l_h, p, q_var)
     v_g_dq = np.array([v_g.real, v_g.imag])
     x_closed = np.concatenate([x, i_g])
-    return np.linalg.eigvals(_jacobian(lambda z: closed_rhs(z, v_g_dq, wind, r_ohm, l_h, p), x_closed))
+    return np.linalg.eigvals(_jacobian(lambda z: closed_rhs(z, v_g_dq, wind, r_ohm, l_h, p, i_q_ref), x_closed))
 
 
 def resonance_pole(poles: np.ndarray, f1_hz: float = 50.0) -> complex:
@@ -176,23 +194,28 @@ def resonance_pole(poles: np.ndarray, f1_hz: float = 50.0) -> complex:
 
 
 def source_voltage(
-    power_w: float, terminal_voltage_v: float, r_ohm: float, l_h: float, p: TurbineParameters = TABLE_I
+    power_w: float,
+    terminal_voltage_v: float,
+    r_ohm: float,
+    l_h: float,
+    p: TurbineParameters = TABLE_I,
+    q_var: float = 0.0,
 ) -> complex:
     """Thevenin voltage v_d + 1j*v_q (V), in the frame of v_pcc.
 
-    The converter feeds P/|v_pcc| in phase with v_pcc; the shunt branch takes its share.
+    The converter feeds (P - j Q)/|v_pcc|, d on v_pcc; the shunt branch takes its share.
     """
     z_shunt = p.r_f_ohm + 1.0 / (1j * p.w1_rad_s * p.c_f_f)
-    i_g = power_w / terminal_voltage_v - terminal_voltage_v / z_shunt
+    i_g = (power_w - 1j * q_var) / terminal_voltage_v - terminal_voltage_v / z_shunt
     return terminal_voltage_v - (r_ohm + 1j * p.w1_rad_s * l_h) * i_g
 
 
-def _grid_side(x: np.ndarray, v_pcc: np.ndarray, p: TurbineParameters) -> np.ndarray:
+def _grid_side(x: np.ndarray, v_pcc: np.ndarray, p: TurbineParameters, i_q_ref: float) -> np.ndarray:
     i_l, v_c, delta, xi_pll, xi_dc, xi, v_dc = x[0:2], x[2:4], x[4], x[5], x[6], x[7:9], x[9]
     i_pll = _rotate(i_l, -delta)
     v_q = _rotate(v_pcc, -delta)[1]
     error_dc = v_dc - p.v_dc_ref_v
-    error = np.array([p.k_dcp * error_dc + xi_dc, 0.0]) - i_pll
+    error = np.array([p.k_dcp * error_dc + xi_dc, i_q_ref]) - i_pll
     v_conv = _rotate(p.k_p * error + xi + p.k_rd_ohm * _j(i_pll), delta)
     di_l = (v_conv - v_pcc) / p.l_c_h - p.w1_rad_s * _j(i_l)
     dv_c = (v_pcc - v_c) / (p.r_f_ohm * p.c_f_f) - p.w1_rad_s * _j(v_c)

@@ -34,13 +34,16 @@ BAR_WORST, BAR_MEDIAN = 1e-4, 1e-5
 """What the turbine's page promises of the default step; measured errors are printed beside it."""
 
 
-def swept(plant, sweep, *, power_mw=P_MW, voltage_pu=1.0, source=None, kind="series_voltage", amplitude_pu=5e-4):
+def swept(
+    plant, sweep, *, power_mw=P_MW, voltage_pu=1.0, q_mvar=0.0, source=None, kind="series_voltage", amplitude_pu=5e-4
+):
     """(f, y) of a campaign of one operating point; every row must be ok."""
+    point = {"active_power_mw": power_mw, "terminal_voltage_pu": voltage_pu, "reactive_power_mvar": q_mvar}
     config = Config.from_dict(
         {
             "campaign": {"name": "accuracy"},
             "plant": {"id": plant.id},
-            "operating_point": [{"active_power_mw": power_mw, "terminal_voltage_pu": voltage_pu}],
+            "operating_point": [point],
             "sweep": sweep,
             "injection": {"kind": kind, "amplitude_pu": amplitude_pu},
             "source": source or {"kind": "ideal"},
