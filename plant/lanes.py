@@ -6,10 +6,20 @@ import numpy as np
 
 from .protocol import Injection, Phasors
 
+_CACHE_LINE = 64
+
 
 def n_tones_of(injection: Injection | None) -> int:
     """Tones of a job."""
     return len(injection.tones) if injection else 0
+
+
+def aligned_zeros(n_slots: int, n_lanes: int) -> np.ndarray:
+    """Zeros (n_slots, n_lanes) that begin where a cache line does: vectors that straddle two cost a tenth more."""
+    n_bytes = 8 * n_slots * n_lanes
+    memory = np.zeros(n_bytes + _CACHE_LINE, np.uint8)
+    first = -memory.ctypes.data % _CACHE_LINE
+    return memory[first : first + n_bytes].view(float).reshape(n_slots, n_lanes)
 
 
 def set_complex(x: np.ndarray, slot: int, value: complex) -> None:

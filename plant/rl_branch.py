@@ -172,8 +172,9 @@ class RLBranch:
 
         drive, state = self._drive(job), job.state
         v, i = np.empty(n_steps, complex), np.empty(n_steps, complex)
-        i_end = kernel.advance_recording(state.i, *drive, v, i)
-        return self._end(state, i_end, n_steps), Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+        current = np.array([state.i], complex)
+        kernel.advance_recording(current, *drive, v, i)
+        return self._end(state, current[0], n_steps), Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
 
     def run_phasors(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_blocks: int
@@ -190,8 +191,9 @@ class RLBranch:
         steps_per_window = window.n_blocks * block_steps
         lines_hz = (window.f_hz, 2.0 * self.f1_hz - window.f_hz)
         sums = np.empty((n_blocks, 4), complex)
-        i_end = kernel.advance_blocks(
-            state.i,
+        current = np.array([state.i], complex)
+        kernel.advance_blocks(
+            current,
             *drive,
             np.array([turns(-f_hz * state.step * self.dt_s) for f_hz in lines_hz]),
             np.array([turns(-f_hz * self.dt_s) for f_hz in lines_hz]),
@@ -201,7 +203,7 @@ class RLBranch:
             sums,
         )
         sums /= kernel.TAPER_MEAN * steps_per_window
-        return self._end(state, i_end, n_blocks * block_steps), Phasors(sums[:, :2].copy(), sums[:, 2:].copy())
+        return self._end(state, current[0], n_blocks * block_steps), Phasors(sums[:, :2].copy(), sums[:, 2:].copy())
 
     def _drive(self, job: Job) -> _Drive:
         """The source as seen behind Z_grid: the fundamental, then every tone."""

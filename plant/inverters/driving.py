@@ -17,7 +17,7 @@ import numpy as np
 from ..damping.control import NOTCH_XI
 from ..errors import SeqsweepError
 from ..injection import series_tones, turns
-from ..lanes import n_tones_of, phasors_of, set_complex
+from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, Phasors, Rating, Record, Source, Trace, Window
 from ..turbine.tone_table import common_period, waveform
 from .equilibrium import References
@@ -189,7 +189,7 @@ class LaneDriven(ABC):
             members = list(jobs[first : first + LANES])
             table = self._source_table(members)
             tones = 0 if len(table) else max(n_tones_of(job.injection) for job in members)
-            x = np.zeros((array_slots(max(tones, 1)), LANES))
+            x = aligned_zeros(array_slots(max(tones, 1)), LANES)
             for lane, (job, window) in enumerate(zip(members, windows[first : first + LANES], strict=True)):
                 x[:, lane] = self._lane(job, window, block_steps, tones)
             x[:, len(members) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write

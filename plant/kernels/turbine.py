@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from .compiled import njit
 
 LANES = 8
 """Lanes of one flat array: one 512-bit or two 256-bit vectors of doubles."""

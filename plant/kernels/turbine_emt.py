@@ -25,8 +25,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from .compiled import njit
 from .turbine import (
     DELTA,
     GRID_1_L,

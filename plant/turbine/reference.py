@@ -19,7 +19,7 @@ import numpy as np
 from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
-from ..lanes import n_tones_of, phasors_of, set_complex
+from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
 from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Compensation,
@@ -389,7 +389,7 @@ class ReferenceTurbine:
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
         from ..kernels import turbine as kernel
 
-        x = np.zeros((kernel.array_slots(n_tones), kernel.LANES))
+        x = aligned_zeros(kernel.array_slots(n_tones), kernel.LANES)
         for lane, (job, window) in enumerate(zip(jobs, windows, strict=True)):
             x[:, lane] = self._lane(job, window, block_steps, n_tones)
         x[:, len(jobs) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write

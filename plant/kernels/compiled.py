@@ -1,0 +1,287 @@
+"""Kernels whose machine code is kept: every process but the first calls them without the compiler.
+
+Importing numba costs more than the simulation of a whole sweep, and so does unpickling what its own cache holds.
+`njit` here stands for numba's. A function with ``cache=True`` is compiled by numba once; its object code goes into a
+file, and from then on llvmlite alone loads it and ctypes calls it. All else (functions without ``cache``, arguments
+that are no plain numbers and arrays, functions that return something or allocate) is numba's as it ever was.
+
+A file of code is found by a key: the kernel's source file and those it takes constants from, its options, the kinds
+of its arguments, the processor, the versions of Python, numba and llvmlite, and numba's settings in the environment.
+It holds its own check sum: one that is damaged is made anew. The code is what numba's own cache would hold but for one
+attribute, the alignment of the stack: spilled vectors that straddle cache lines cost time (docs/performance.md).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import importlib.util
+import json
+import os
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_MAGIC = b"seqsweep kernel 1\n"
+_KEPT_PER_KERNEL = 8
+"""Files of one kernel in a folder: of several processors, kinds of arguments, work trees. The oldest give way."""
+
+_WITHOUT_MEANING = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS")
+"""Settings of numba that do not change the code."""
+
+_STACK = " alignstack(64)"
+_ARRAY_HEAD, _VALUES = "pp", {"f": "double", "i": "i64", "p": "ptr"}
+
+_lock = threading.RLock()
+_engines: list[Any] = []
+"""Owners of loaded code: it lives as long as the process."""
+
+Code = Callable[[Sequence[Any]], Any]
+
+
+def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """`numba.njit`, but that numba is imported only where there is something to compile."""
+    if function is None:
+        return functools.partial(njit, **options)
+    return function if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0") else Kernel(function, options)
+
+
+class Kernel:
+    """A function that is compiled when it is called, or called by another that is compiled.
+
+    Attributes
+    ----------
+    py_func : function
+        What is compiled.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]):
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._options = options
+        self._codes: dict[str, Code] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        kinds = ",".join(_kind(argument) for argument in arguments)
+        code = self._codes.get(kinds)
+        if code is None:
+            with _lock:
+                code = self._codes[kinds] = self._found(kinds, arguments)
+        return code(arguments)
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Numba's own."""
+        import numba
+
+        return numba.njit(**self._options)(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """How numba sees this function among the names that a kernel uses."""
+        return self.dispatcher._numba_type_
+
+    def _found(self, kinds: str, arguments: Sequence[Any]) -> Code:
+        kept = None
+        if self._options.get("cache") and "?" not in kinds and (path := _path(self.py_func, self._options, kinds)):
+            kept = _read(path) or _write(path, *_compiled(self.py_func, self._options, arguments))
+        if kept and kept[0]:
+            return _loaded(*kept)
+        return lambda arguments: self.dispatcher(*arguments)
+
+
+# ---------------------------------------------------------------------- arguments
+
+
+def _kind(argument: Any) -> str:
+    """What numba makes of an argument, as far as it can be handed over without it; "?" where it cannot."""
+    if isinstance(argument, np.ndarray):
+        plain = argument.flags.c_contiguous and argument.flags.aligned and argument.dtype.isnative
+        return f"{argument.dtype.str}[{argument.ndim}]{'' if argument.flags.writeable else 'r'}" if plain else "?"
+    if isinstance(argument, tuple):
+        return f"{type(argument).__name__}({','.join(map(_kind, argument))})"
+    if isinstance(argument, float | complex):
+        return "f" if isinstance(argument, float) else "c"
+    return "i" if type(argument) is int else "?"
+
+
+def _letters(argument: Any) -> str:
+    """The values that a kernel takes for an argument: pointers (p), integers (i), floats (f)."""
+    if isinstance(argument, np.ndarray):  # owner, its parent, size, item size, data, shape, strides
+        return _ARRAY_HEAD + "iip" + 2 * argument.ndim * "i"
+    if isinstance(argument, tuple):
+        return "".join(map(_letters, argument))
+    return _kind(argument).replace("c", "ff")
+
+
+def _values(argument: Any) -> list[Any]:
+    if isinstance(argument, np.ndarray):
+        head = [None, None, argument.size, argument.itemsize, argument.ctypes.data]
+        return [*head, *argument.shape, *argument.strides]
+    if isinstance(argument, tuple):
+        return [value for part in argument for value in _values(part)]
+    return [argument.real, argument.imag] if isinstance(argument, complex) else [argument]
+
+
+_CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_double}
+
+
+# ---------------------------------------------------------------------- code
+
+
+def _compiled(function: Callable[..., Any], options: dict[str, Any], arguments: Sequence[Any]) -> tuple[str, bytes]:
+    """Name and object code of the compiled function; empty where it cannot stand alone."""
+    import numba
+    from numba.core.errors import NumbaError
+
+    alone = {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
+    dispatcher: Any = numba.njit(**(options | alone))(function)
+    try:
+        dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
+    except NumbaError:  # it allocates, or is wrong: the ordinary way tells
+        return "", b""
+    (found,) = dispatcher.overloads.values()
+    name, library = found.fndesc.llvm_func_name, found.library
+    if found.signature.return_type != numba.types.none or not _stands_alone(library.get_llvm_str(), name, arguments):
+        return "", b""
+    return name, _object_code(library)
+
+
+def _stands_alone(text: str, name: str, arguments: Sequence[Any]) -> bool:
+    """Whether the function takes what `_values` gives, and asks for nothing but LLVM's own functions."""
+    head = re.search(rf'^define .*@"?{re.escape(name)}"?\((.*?)\) local_unnamed_addr|^\Z', text, re.MULTILINE)
+    if head is None or head[1] is None:
+        return False
+    taken = [part.split()[0] for part in re.sub(r"\([^()]*(\([^()]*\)[^()]*)*\)", "", head[1]).split(",")]
+    given = ["ptr", "ptr", *(_VALUES[letter] for argument in arguments for letter in _letters(argument))]
+    asked = re.findall(r'^declare .*?@"?([\w.]+)"?\(', text, re.MULTILINE)
+    return taken == given and all(function.startswith("llvm.") for function in asked)
+
+
+def _object_code(library: Any) -> bytes:
+    """Object code of a library of numba's, its stack aligned for the widest vectors."""
+    import llvmlite.binding as llvm
+
+    aligned = re.sub(r"^(define .*?)( \{)$", rf"\1{_STACK}\2", library.get_llvm_str(), flags=re.MULTILINE)
+    return bytes(library.codegen._tm.emit_object(llvm.parse_assembly(aligned)))
+
+
+def _loaded(name: str, code: bytes) -> Code:
+    """The function of that name, from object code; it lets go of the interpreter while it runs."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    _engines.append(engine)
+    function = ctypes.CFUNCTYPE(ctypes.c_int32)(engine.get_function_address(name))
+
+    def call(arguments: Sequence[Any]) -> None:
+        answer, error = ctypes.c_void_p(), ctypes.c_void_p()
+        letters = "".join(map(_letters, arguments))
+        values = [value for argument in arguments for value in _values(argument)]
+        taken = (_CTYPES[letter](value) for letter, value in zip(letters, values, strict=True))
+        status = function(ctypes.byref(answer), ctypes.byref(error), *taken)
+        if status not in (0, -2):  # fine, and numba's way to say "None"
+            raise SystemError(f"a kernel ended with status {status}")
+
+    return call
+
+
+# ---------------------------------------------------------------------- files
+
+
+def _path(function: Callable[..., Any], options: dict[str, Any], kinds: str) -> Path | None:
+    """Where the code is or will be; None if the source cannot be read."""
+    source = Path(function.__code__.co_filename)
+    try:
+        text = _text(source)
+    except OSError:
+        return None
+    settings = sorted((name, sorted(v) if isinstance(v, set) else v) for name, v in options.items())
+    told = repr((function.__qualname__, settings, kinds, _machine()))
+    key = hashlib.sha256(text + told.encode()).hexdigest()[:24]
+    return _folder(source) / f"{source.stem}.{function.__qualname__}-{key}.kernel"
+
+
+def _text(source: Path) -> bytes:
+    """The source file, and those beside it whose constants it takes."""
+    text = source.read_bytes()
+    others = sorted(set(re.findall(rb"^from \.(\w+) import", text, re.MULTILINE)))
+    return b"".join([text, *(source.with_name(f"{other.decode()}.py").read_bytes() for other in others)])
+
+
+@functools.cache
+def _machine() -> tuple[Any, ...]:
+    """What code depends on beside its source."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    spec = importlib.util.find_spec("numba")
+    version = Path(spec.origin).with_name("_version.py").read_text("utf-8") if spec and spec.origin else ""
+    settings = sorted(
+        (name, value)
+        for name, value in os.environ.items()
+        if name.startswith("NUMBA_") and name not in _WITHOUT_MEANING
+    )
+    processor = llvm.get_default_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    return (*processor, llvmlite.__version__, version, sys.version_info[:2], settings)
+
+
+def _folder(source: Path) -> Path:
+    """Numba's folder if one is set, else the one of the compiled Python, else the user's."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen) / "seqsweep"
+    beside = source.parent / "__pycache__"
+    if os.access(beside if beside.exists() else source.parent, os.W_OK):
+        return beside
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "seqsweep"
+
+
+def _read(path: Path) -> tuple[str, bytes] | None:
+    """Name and object code; None if there is none or it is damaged."""
+    try:
+        held = path.read_bytes()
+    except OSError:
+        return None
+    magic, digest, rest = held[: len(_MAGIC)], held[len(_MAGIC) :][:32], held[len(_MAGIC) + 32 :]
+    if magic != _MAGIC or hashlib.sha256(rest).digest() != digest:
+        return None
+    name, _, code = rest.partition(b"\n")
+    return json.loads(name), code
+
+
+def _write(path: Path, name: str, code: bytes) -> tuple[str, bytes]:
+    """Keep code if the disk lets us; it works without."""
+    rest = json.dumps(name).encode() + b"\n" + code
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, unfinished = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(_MAGIC + hashlib.sha256(rest).digest() + rest)
+            os.replace(unfinished, path)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(unfinished)
+            raise
+        _forget_oldest(path)
+    return name, code
+
+
+def _forget_oldest(path: Path) -> None:
+    stem = path.name.rpartition("-")[0]
+    kept = sorted(path.parent.glob(f"{stem}-*.kernel"), key=lambda file: file.stat().st_mtime)
+    for file in kept[:-_KEPT_PER_KERNEL]:
+        file.unlink(missing_ok=True)

@@ -1,0 +1,194 @@
+"""Kernels whose machine code is kept: numba's numbers without numba, and a way back whatever happens to the file."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqsweep.plant.kernels import branch, compiled
+
+KERNEL = """
+import json, sys
+import numpy as np
+from seqsweep.plant.kernels.compiled import njit
+
+@njit(forceinline=True)
+def _weighted(x, p):
+    return p[0] * x + p[1]
+
+@njit(nogil=True, cache=True)
+def fill(out, p, c, n):
+    for k in range(n):
+        out[k] = _weighted(out[k], p) + c.real - c.imag * k
+
+if __name__ == "__main__":
+    out = np.arange(6.0)
+    fill(out, (2.0, 0.5), 1.0 + 0.25j, 5)
+    print(json.dumps([out.tolist(), "numba" in sys.modules]))
+"""
+WANTED = [*(2.0 * k + 0.5 + 1.0 - 0.25 * k for k in range(5)), 5.0]
+
+
+def called(folder: Path, text: str = KERNEL, **environment: str) -> tuple[list[float], bool]:
+    """What the kernel fills in, and whether its process imported numba."""
+    script = folder / "kernels_of_a_test.py"
+    script.write_text(text, "utf-8")
+    settings = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), **environment}
+    done = subprocess.run([sys.executable, str(script)], env=settings, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    out, with_numba = json.loads(done.stdout)
+    return out, with_numba
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted((folder / "cache" / "seqsweep").glob("*.kernel"))
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory):
+    """A folder where the kernel was compiled once."""
+    folder = tmp_path_factory.mktemp("warm")
+    assert called(folder) == (WANTED, True)
+    return folder
+
+
+def test_the_second_process_calls_the_same_code_without_numba(warm):
+    assert called(warm) == (WANTED, False)
+    assert len(files(warm)) == 1
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda held: held[:-1], lambda held: held[:40] + b"x" + held[41:], lambda held: b"", lambda held: b"junk"],
+)
+def test_a_damaged_file_is_made_anew(warm, damage):
+    (path,) = files(warm)
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    assert called(warm) == (WANTED, True)
+    assert called(warm) == (WANTED, False)
+    assert len(path.read_bytes()) == len(whole)
+
+
+@pytest.mark.parametrize("setting", [{"NUMBA_CPU_NAME": "haswell"}, {"NUMBA_OPT": "1"}])
+def test_another_processor_or_setting_has_code_of_its_own(warm, setting):
+    before = set(files(warm))
+    assert called(warm, **setting) == (WANTED, True)
+    assert len(set(files(warm)) - before) == 1
+
+
+def test_an_edit_is_noticed(tmp_path):
+    called(tmp_path)
+    edited = KERNEL.replace("p[0] * x + p[1]", "p[0] * x - p[1]")
+    assert called(tmp_path, edited) == ([*(value - 1.0 for value in WANTED[:5]), 5.0], True)
+
+
+def test_files_of_one_kernel_are_bounded(tmp_path):
+    path = tmp_path / "k.f-0.kernel"
+    for k in range(12):
+        compiled._write(path.with_name(f"k.f-{k}.kernel"), "f", b"code")
+        os.utime(path.with_name(f"k.f-{k}.kernel"), (k, k))
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(f"k.f-{k}.kernel" for k in range(4, 12))
+
+
+def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path):
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    assert called(tmp_path) == (WANTED, True)
+
+
+def test_what_returns_or_allocates_is_left_to_numba_and_right(tmp_path):
+    returns = KERNEL.replace("    for k in range(n):", "    x = np.zeros(n)\n    for k in range(n):")
+    assert called(tmp_path, returns) == (WANTED, True)
+    assert called(tmp_path, returns) == (WANTED, True)
+    assert all(compiled._read(path) == ("", b"") for path in files(tmp_path))
+
+
+def test_without_the_compiler_the_python_itself_runs(warm):
+    assert called(warm, NUMBA_DISABLE_JIT="1") == (WANTED, False)
+
+
+def test_arguments_numba_takes_and_we_do_not_are_its_own():
+    @compiled.njit()
+    def doubled(x):
+        return x + x
+
+    assert doubled(np.float32(1.5)) == 3.0
+    assert doubled(True) == 2
+    assert doubled(np.arange(6)[::2]).tolist() == [0, 4, 8]
+
+
+def test_read_only_arrays_have_code_of_their_own():
+    still = np.zeros(3)
+    still.setflags(write=False)
+    assert compiled._kind(still) != compiled._kind(np.zeros(3))
+    assert compiled._kind(np.zeros(3, ">f8")) == "?" == compiled._kind(np.zeros((3, 3)).T[:2])
+
+
+def test_many_threads_may_come_first():
+    """Sixteen threads call a kernel that none has called before; each has its own memory and the same numbers."""
+    kernel = compiled.Kernel(branch.advance_recording.py_func, {"nogil": True, "cache": True})
+
+    def run(k: int) -> np.ndarray:
+        v, i = np.empty(50, complex), np.empty(50, complex)
+        source = np.array([400.0 + 0j]), np.array([np.exp(0.02j)])
+        kernel(np.zeros(1, complex), *source, 0.1, 1e-3, 0.0, 0.0, 5e-5, v, i)
+        return i
+
+    with ThreadPoolExecutor(16) as pool:
+        first, *others = pool.map(run, range(16))
+    assert all(np.array_equal(other, first) for other in others)
+    assert abs(first[-1]) > 0.0
+
+
+def test_a_kernel_of_the_product_is_the_same_as_numbas_own():
+    """Bit for bit, through every argument: the code differs by the stack's alignment alone."""
+    from numba import njit
+
+    rng = np.random.default_rng(1)
+    tones, turns = rng.normal(size=(2, 3, 2)).view(complex)[..., 0]
+    found = []
+    for call in (branch.advance_blocks, njit(nogil=True)(branch.advance_blocks.py_func)):
+        current, sums = np.array([1.0 + 2.0j]), np.empty((4, 4), complex)
+        lines = np.array([1.0 + 0j, 0.6 - 0.8j])
+        turn = np.exp(0.1j)
+        call(
+            current,
+            tones.copy(),
+            turns / abs(turns),
+            0.1,
+            1e-3,
+            0.02,
+            1e-4,
+            5e-5,
+            lines,
+            lines.copy(),
+            turn,
+            turn,
+            7,
+            sums,
+        )
+        found.append((current.tobytes(), lines.tobytes(), sums.tobytes()))
+    assert found[0] == found[1]
+
+
+def test_the_reference_turbine_is_swept_without_numba(tmp_path):
+    """A warm process settles and steps the turbine; numba stays unread on the disk."""
+    text = textwrap.dedent("""
+        import sys
+        from seqsweep.plant.protocol import Job, OperatingPoint, Source
+        from seqsweep.plant.registry import make_plant
+        plant = make_plant("dpmsg-v1")
+        state = plant.settle(OperatingPoint(0.65e6, 690.0), Source())
+        plant.run([Job(state, None)], 20)
+        print("numba" in sys.modules, "scipy" in sys.modules)
+    """)
+    said = [subprocess.run([sys.executable, "-c", text], capture_output=True, text=True).stdout for _ in range(2)]
+    assert said[1] == "False False\n"
