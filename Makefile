@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 TYPED := build/typed/seqsweep
 
-.PHONY: demo test lint evidence bench env clean
+.PHONY: demo test lint docs evidence bench env clean
 
 demo: $(READY)
 	@mkdir -p build
@@ -23,6 +23,14 @@ lint: $(READY)
 	@mv build/typed/plant build/typed/identify build/typed/tuning build/typed/sweep $(TYPED)/
 	$(BIN)/mypy
 	cd build/typed && ../../$(BIN)/lint-imports --no-cache --config ../../pyproject.toml
+
+# The site, in build/site: every command on its pages is run, and what it prints is written into them; warnings are errors.
+docs: $(READY)
+	$(BIN)/python docs/site/executed.py
+	@rm -rf build/site
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -d build/doctrees docs build/site
+	$(BIN)/python docs/site/held.py build/site
+	@echo "open build/site/index.html"
 
 # The heavy trials: they rewrite the figures in docs/. The verdicts take a new seed every time.
 evidence: $(READY)
@@ -43,9 +51,9 @@ $(READY): pyproject.toml constraints.txt
 	  { echo "$(PYTHON) cannot make environments: run 'apt-get install python3-venv' (as root), then again" >&2; exit 1; }
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,dask,fmu,exchange,excel,formats]' -c constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,docs,dask,fmu,exchange,excel,formats]' -c constraints.txt
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist docs/generated docs/gallery docs/notebooks *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
