@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .say import say, tell
 from .shared import Force, WrongInput, check_new, check_outputs, check_suffix
 
 if TYPE_CHECKING:
@@ -58,11 +59,11 @@ def farm(
         check_suffix(table, ".parquet")
     _check_demand(damping, probability, by)
     library, found = _judged(document, out or [])
-    typer.echo(text_of(found))
+    say(text_of(found))
     demand = _demand(damping, probability, found)
     advice = [_advice(lever, library, found, demand, jobs) for lever in by or []]
     for one in advice:
-        typer.echo(f"\n{advice_text(one)}")
+        say(f"\n{advice_text(one)}")
     if output is not None:
         write_json(output, to_json(found, advice))
     if table is not None:
@@ -102,12 +103,9 @@ def _demand(damping: float | None, probability: float, found: Farm) -> Demand | 
 def _advice(lever: Lever, library: Library, found: Farm, demand: Demand | None, jobs: int | None) -> Advice:
     from ..farm_sweeps import gain_advice, power_advice
 
-    def say(text: str) -> None:
-        typer.echo(text, err=True)
-
     if lever == Lever.power:
-        return power_advice(library, found, demand, say)
-    return gain_advice(library, found, demand, jobs or os.cpu_count() or 1, say)
+        return power_advice(library, found, demand, tell)
+    return gain_advice(library, found, demand, jobs or os.cpu_count() or 1, tell)
 
 
 def _read(document: Path) -> dict[str, Any]:
@@ -146,4 +144,4 @@ def _write_table(found: Farm, table: Path, document: Path) -> None:
         "plant": {"id": "farm", "devices": [unit.key for unit in found.units]},
     }
     write_table(table, [response], meta)
-    typer.echo(f"{table}: the farm at {found.entry.source_bus}", err=True)
+    tell(f"{table}: the farm at {found.entry.source_bus}")

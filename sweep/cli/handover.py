@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .say import tell
 from .shared import Force, WrongInput, check_new
 
 
@@ -29,7 +30,7 @@ def report(
     text = page(read_inputs(inputs), _stamp() if stamp else "")
     with atomic_file(output) as file:
         file.write(text.encode())
-    typer.echo(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser", err=True)
+    tell(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser")
 
 
 def _stamp() -> str:
