@@ -9,9 +9,6 @@ from pathlib import Path
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two workers, two cores
-for _name in ("COLUMNS", "LINES"):  # readline, which pytest imports, gives them to children behind Python's back
-    os.environ.pop(_name, None)
-    os.unsetenv(_name)
 
 PAGE = Path(__file__).parent.parent / "docs" / "evidence.md"
 HEAD = """# Evidence

@@ -300,9 +300,7 @@ def _draw_locus(axes: Axes, drawn: _Drawn) -> None:
     ):
         axes.plot(part.real, part.imag, label=label, **style)
     if point.response is not None:
-        data = to_dq(point.response)
-        rows = np.linalg.det(np.eye(2) + data.y @ impedance_dq(grid, 2j * np.pi * data.nu_hz))
-        dots = _in_db(rows * grid.clearing(2j * np.pi * data.nu_hz))
+        _, dots, _ = locus_rows(point)
         axes.plot(dots.real, dots.imag, color="k", label="rows", **_DOTS)
     _draw_arrow(axes, shown[swept])
     if point.with_k is not None and point.with_k.model is not None:
@@ -315,6 +313,16 @@ def _draw_locus(axes: Axes, drawn: _Drawn) -> None:
         f"det(1 + YZ): winding number {turns}, own unstable poles {own}".replace("-", "\N{MINUS SIGN}"),
         fontsize=8.5,
     )
+
+
+def locus_rows(point: PointTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """|f - f1| (n,) in Hz of the rows, their places (n,) in the picture of the locus, and det(1 + Y Z) (n,) there."""
+    assert point.response is not None
+    assert point.grid is not None
+    data = to_dq(point.response)
+    s = 2j * np.pi * data.nu_hz
+    d = np.linalg.det(np.eye(2) + data.y @ impedance_dq(point.grid, s)) * point.grid.clearing(s)
+    return data.nu_hz, _in_db(d), d
 
 
 def _determinant(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:

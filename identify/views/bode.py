@@ -206,10 +206,12 @@ def _draw_curve(magnitude: Axes, phase: Axes, curve: _Curve, element: int, dotte
     f = np.asarray(response.f_hz)
     y = np.asarray(response.y).reshape(-1, 4)[:, element]
     good = np.where(response.ok, y, complex(np.nan, np.nan))
+    good = np.where(good == 0.0, complex(np.nan, np.nan), good)  # has no place on a logarithmic axis, and no angle
     size, angle = np.abs(good), np.degrees(np.angle(good))
     of_size, of_angle = _half_intervals(response, element)
     line: dict[str, Any] = {"color": curve.colour, "linestyle": curve.dashes}
     fine_f, fine_y = _between(curve, element)
+    fine_y = np.where(fine_y == 0.0, complex(np.nan, np.nan), fine_y)
     magnitude.plot(fine_f, np.abs(fine_y), **line)
     phase.plot(*_without_streaks(fine_f, np.degrees(np.angle(fine_y))), **line)
     if dotted or _interpolated(response):

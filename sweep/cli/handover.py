@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from .say import tell
 from .shared import Force, WrongInput, check_new
 
 
@@ -16,21 +15,49 @@ def report(
         list[Path], typer.Argument(metavar="TABLE.parquet [RESULT...]", help="The table, and results about it.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html", help="The report to write.")],
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print it to PDF as well, by Chromium, Chrome or Edge.")] = False,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME|FILE", help="Requirements to hold it against; repeatable. By default scan."),
+    ] = None,
     stamp: Annotated[bool, typer.Option("--stamp", help="Put date, user and host into the report.")] = False,
     force: Force = False,
 ) -> None:
-    """One HTML file that needs no network: verdict, modes, pictures, what was swept, what is not covered."""
+    """One HTML file that needs no network: verdict, modes, pictures, what was swept, what is not covered.
+
+    RESULT is what other commands wrote about the table: the JSON of tune, verify, metrics and farm, the Parquet of
+    judge and surrogate.
+    """
     from ...identify.files import atomic_file
+    from ..report.handover.checklist import read_profiles
     from ..report.handover.inputs import read_inputs
     from ..report.handover.page import page
+    from ..report.handover.pdf import browser, printed
 
-    if output.suffix.lower() not in (".html", ".htm"):
-        raise WrongInput(f"{output}: a report is written as .html; a browser prints it to PDF")
-    check_new(output, force)
-    text = page(read_inputs(inputs), _stamp() if stamp else "")
+    paper, printer = output.with_suffix(".pdf"), None
+    _check_output(output, paper if pdf else None, force)
+    if pdf:
+        printer = browser()
+    profiles = profile or []
+    read_profiles(profiles)  # a wrong name is refused before anything is computed
+    content, stamped = read_inputs(inputs), _stamp() if stamp else ""
+    text = page(content, stamped, profiles)
     with atomic_file(output) as file:
         file.write(text.encode())
-    tell(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser")
+    typer.echo(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser", err=True)
+    if printer is not None:
+        content_of_paper = printed(page(content, stamped, profiles, printing=True), printer)
+        with atomic_file(paper) as file:
+            file.write(content_of_paper)
+        typer.echo(f"{paper}: {len(content_of_paper) / 1e3:.0f} kB", err=True)
+
+
+def _check_output(output: Path, paper: Path | None, force: bool) -> None:
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise WrongInput(f"{output}: a report is written as .html; --pdf prints it beside that")
+    check_new(output, force)
+    if paper is not None:
+        check_new(paper, force)
 
 
 def _stamp() -> str:

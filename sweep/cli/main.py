@@ -8,7 +8,6 @@ machine failed us, 5 a fault of the program itself. What a command needs is impo
 from __future__ import annotations
 
 import errno
-import io
 import os
 import signal
 import sys
@@ -30,7 +29,6 @@ from . import handover as cli_handover
 from . import metrics as cli_metrics
 from . import region as cli_region
 from . import sweep as cli_sweep
-from .say import say, tell
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -87,7 +85,9 @@ def _version(
 
         from ...identify.table.format import VERSION as TABLE_FORMAT
 
-        say(f"seqsweep {version_of('seqsweep')}, table format {TABLE_FORMAT}, Python {platform.python_version()}")
+        typer.echo(
+            f"seqsweep {version_of('seqsweep')}, table format {TABLE_FORMAT}, Python {platform.python_version()}"
+        )
         raise typer.Exit
 
 
@@ -121,26 +121,24 @@ def _status() -> int:
         result = app(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
         if meant := _meant(arguments):
-            tell(f"no command is called so; did you mean: seqsweep {meant}")
+            typer.echo(f"no command is called so; did you mean: seqsweep {meant}", err=True)
         else:
-            usage = io.StringIO()
-            error.show(file=usage)
-            tell(usage.getvalue().rstrip())
+            error.show(file=sys.stderr)
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except SeqsweepError as error:
-        tell(str(error))
+        typer.echo(str(error), err=True)
         return WRONG_INPUT
     except (BrokenPipeError, SystemExit):  # nobody reads on; typer makes the latter of the former
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
         kept = _resumes() and error.errno in _FULL
-        tell(f"{error}{'; what was measured is kept: ' + GO_ON if kept else ''}")
+        typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
         return MACHINE
     except MemoryError:
-        tell("the memory of this machine does not suffice")
+        typer.echo("the memory of this machine does not suffice", err=True)
         return MACHINE
     except Exception as error:
         typer.echo(faults.told(error, arguments, debug), err=True)
@@ -179,7 +177,7 @@ def _meant(arguments: Sequence[str]) -> str | None:
 
 
 def _interrupted() -> int:
-    tell(f"interrupted{'; ' + GO_ON if _resumes() else ''}")
+    typer.echo(f"interrupted{'; ' + GO_ON if _resumes() else ''}", err=True)
     return INTERRUPTED
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from ....identify.table.read import Table, read_table
+from ....identify.table.read import Table, read_metadata, read_table
 from ....plant.errors import SeqsweepError
+from .bank import metadata_of, read_bank
 
 KINDS = {
     "seqsweep-tuning": "tuning",
@@ -26,6 +27,14 @@ class ReportError(SeqsweepError):
     """Files that no report can be made from, with the way out."""
 
 
+class File(NamedTuple):
+    """One of the files: its name, what it holds, and its sha256."""
+
+    name: str
+    kind: str
+    sha256: str
+
+
 @dataclass(frozen=True)
 class Inputs:
     """Everything a report rests on.
@@ -35,19 +44,27 @@ class Inputs:
     table : Table
         The admittance.
     results : mapping of str to object
-        Results by kind (`KINDS`): plain JSON values, of a bank the list of its rows.
-    hashes : mapping of str to str
-        sha256 of every file by its name.
+        Results by kind (`KINDS`, and "surrogate"): plain JSON values; of a bank a `Bank`, of a surrogate the model.
+    files : tuple of File
+        In the order in which they were given.
+    foreign : tuple of str
+        Kinds of results that say that they were made from another table.
     """
 
     table: Table
     results: Mapping[str, Any]
-    hashes: Mapping[str, str]
-    foreign: tuple[str, ...] = field(default=())
+    files: tuple[File, ...]
+    foreign: tuple[str, ...] = ()
+
+    def name_of(self, kind: str) -> str:
+        """Name of the file of a kind."""
+        return next(file.name for file in self.files if kind in (file.kind, *file.kind.split(" and ")))
 
 
 def read_inputs(paths: Sequence[Path]) -> Inputs:
     """Read and sort the files; exactly one is a table, of every other kind there is at most one.
+
+    A surrogate's file holds the sweeps that it rests on: it is the table, too, where no other is given.
 
     Raises
     ------
@@ -56,57 +73,79 @@ def read_inputs(paths: Sequence[Path]) -> Inputs:
     TableError
         If the table cannot be read.
     """
-    tables: list[Path] = []
-    results: dict[str, Any] = {}
-    for path in paths:
-        kind, content = _opened(path)
-        if kind == "table":
-            tables.append(path)
-        elif kind in results:
-            raise ReportError(f"{path}: a second result of kind {kind}; a report takes one of each")
-        else:
-            results[kind] = content
-    if len(tables) != 1:
-        raise ReportError(f"{len(tables)} tables given; needed is exactly one TABLE.parquet, and results about it")
-    table = read_table(tables[0])
+    kinds = _only_one_each([(_kind_of(path), path) for path in paths])
+    table = read_table(kinds.get("table") or kinds["surrogate"])
+    results = {kind: _content(kind, path) for kind, path in kinds.items() if kind != "table"}
     foreign = tuple(kind for kind, content in results.items() if not _belongs(content, table.meta["sha256"]))
-    return Inputs(table, results, {path.name: _sha256(path) for path in paths}, foreign)
+    alone = "table" not in kinds
+    names = {path: "table and surrogate" if alone and kind == "surrogate" else kind for kind, path in kinds.items()}
+    return Inputs(table, results, tuple(File(path.name, names[path], _sha256(path)) for path in paths), foreign)
 
 
-def _opened(path: Path) -> tuple[str, Any]:
+def _only_one_each(found: Sequence[tuple[str, Path]]) -> dict[str, Path]:
+    kinds: dict[str, Path] = {}
+    tables = [path for kind, path in found if kind == "table"]
+    for kind, path in found:
+        if kind in kinds and kind != "table":
+            raise ReportError(f"{path}: a second result of kind {kind}; a report takes one of each")
+        kinds[kind] = path
+    if len(tables) > 1 or not {"table", "surrogate"} & set(kinds):
+        raise ReportError(f"{len(tables)} tables given; needed is exactly one TABLE.parquet, and results about it")
+    return kinds
+
+
+def _kind_of(path: Path) -> str:
     if not path.is_file():
         raise ReportError(f"{path}: no such file")
     if path.suffix.lower() == ".parquet":
-        return _parquet(path)
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ReportError(f"{path}: neither a table nor a JSON result of seqsweep: {error}") from None
+        return _kind_of_parquet(path)
+    content = _json(path)
     kind = KINDS.get(content.get("format", "")) if isinstance(content, dict) else None
     if kind is None:
         raise ReportError(f"{path}: not a result of seqsweep; known formats are {', '.join(KINDS)}")
-    return kind, content
+    return kind
 
 
-def _parquet(path: Path) -> tuple[str, Any]:
-    """A table of admittances, or the rows of `seqsweep judge`."""
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ReportError(f"{path}: neither a table nor a JSON result of seqsweep: {error}") from None
+
+
+def _kind_of_parquet(path: Path) -> str:
+    """A table of admittances, a surrogate, or the rows of `seqsweep judge`."""
+    meta = _parquet_meta(path)
+    if meta.get("format") == "seqsweep-judge":
+        return "bank"
+    return "surrogate" if read_metadata(path).get("surrogate") else "table"
+
+
+def _parquet_meta(path: Path) -> dict[str, Any]:
     import pyarrow.parquet as pq
 
     try:
-        schema = pq.read_schema(path)
+        return metadata_of(pq.read_schema(path).metadata)
     except Exception as error:  # pyarrow raises its own kinds for every sort of damage
         raise ReportError(f"{path}: not a Parquet file: {str(error).splitlines()[0]}") from None
-    meta = json.loads((schema.metadata or {}).get(b"seqsweep", b"{}"))
-    if meta.get("format") == "seqsweep-judge":
-        return "bank", {**meta, "rows": pq.read_table(path).to_pylist()}
-    return "table", None
+
+
+def _content(kind: str, path: Path) -> Any:
+    if kind == "bank":
+        return read_bank(path, _parquet_meta(path))
+    if kind == "surrogate":
+        from ....identify.surrogate.store import read_surrogate
+
+        return read_surrogate(path)
+    return _json(path)
 
 
 def _belongs(content: Any, sha256: str) -> bool:
     """Whether a result says that it rests on this table; one that says nothing is taken to."""
-    provenance = content.get("provenance") or {}
-    said = (provenance.get("table") or {}).get("sha256") or provenance.get("table_sha256")
-    return said is None or said == sha256
+    said = content if isinstance(content, Mapping) else getattr(content, "meta", {})
+    provenance = said.get("provenance") or {}
+    of_table = (provenance.get("table") or {}).get("sha256") or provenance.get("table_sha256")
+    return of_table is None or of_table == sha256
 
 
 def _sha256(path: Path) -> str:

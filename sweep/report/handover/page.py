@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
+import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ....identify.response import FrequencyResponse
-from . import pictures
-from .checklist import checked
+from . import bank, pictures
+from .checklist import checked, read_profiles
 from .inputs import Inputs
+from .loop import loop_pictures
+from .repeat import commands
+from .words import RANK, sentences, worst_verdict
+
+if TYPE_CHECKING:
+    from ....identify.surrogate.surrogate import Surrogate
 
 MOST = 40
 """Rows of a table that are shown at once; the rest is folded."""
 
+FOLDED = 1000
+"""Rows that are folded; beyond, the file that the report rests on has them."""
+
 _Z95 = 1.959963984540054
 
 
-def page(inputs: Inputs, stamp: str = "") -> str:
+def page(
+    inputs: Inputs,
+    stamp: str = "",
+    profiles: Sequence[str] = (),
+    printing: bool = False,
+) -> str:
     """The whole report as one HTML text; the same inputs give the same bytes.
 
     Parameters
@@ -31,83 +48,117 @@ def page(inputs: Inputs, stamp: str = "") -> str:
         The table and the results about it.
     stamp : str
         Date, user and host where they are wanted.
+    profiles : sequence of str
+        Requirement profiles by name or file; see `read_profiles`.
+    printing : bool
+        Whether the page goes to a printer at once: what is folded for its length alone is unfolded.
     """
     from jinja2 import Environment
 
-    template = files(__package__).joinpath("report.html.j2").read_text("utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
     environment.filters["num"] = number
-    return environment.from_string(template).render(**_content(inputs), stamp=stamp, version=version("seqsweep"))
+    environment.filters["percent"] = percent
+    template = environment.from_string(_data("report.html.j2"))
+    return template.render(**_content(inputs, profiles), stamp=stamp, printing=printing).lstrip()
 
 
-def _content(inputs: Inputs) -> dict[str, Any]:
+def _data(name: str) -> str:
+    return files(__package__).joinpath(name).read_text("utf-8")
+
+
+def _content(inputs: Inputs, profiles: Sequence[str]) -> dict[str, Any]:
     tuning = inputs.results.get("tuning")
     points = _worst_first(tuning["operating_points"]) if tuning else []
-    verification = inputs.results.get("verification")
+    swept = [_swept(response) for response in _as_judged(inputs.table.responses, points)]
+    script = _data("hover.js")
     return {
         "title": _title(inputs),
-        "sentence": sentence(inputs, points),
+        "sentences": sentences(inputs, points),
+        "worst": worst_verdict(inputs, points),
         "foreign": inputs.foreign,
+        "sections": _sections(inputs, points),
         "tuning": tuning,
         "grid": _grid(points),
         "points": points[:MOST],
-        "folded_points": points[MOST:],
-        "modes": [_modes_of(point) for point in points[:MOST]],
-        "bode": pictures.admittance(inputs.table.responses),
-        "modes_picture": pictures.modes(points) if points else "",
-        "verification": verification,
-        "time_picture": pictures.resonance_in_time(verification["runs"]) if verification else "",
+        "folded_points": points[MOST : MOST + FOLDED],
+        "modes": [_modes_of(point) for point in points[:6]],
+        **_pictures(inputs, points),
+        "verification": inputs.results.get("verification"),
         "bank": _bank(inputs.results.get("bank")),
         "farm": inputs.results.get("farm"),
-        "metrics": inputs.results.get("metrics"),
-        "swept": [_swept(response) for response in inputs.table.responses[:MOST]],
-        "n_swept": len(inputs.table.responses),
+        "surrogate": _surrogate(inputs.results.get("surrogate")),
+        "metrics": _metrics(inputs.results.get("metrics")),
+        "device": _device(inputs),
+        "how": _how(inputs.table.meta),
+        "swept": swept[:MOST],
+        "folded_swept": swept[MOST : MOST + FOLDED],
+        "n_swept": len(swept),
         "not_ok": _not_ok(inputs.table.responses),
         "open": _undecided(inputs, points),
-        "checklist": checked(inputs),
-        "hashes": inputs.hashes,
+        "checklists": [checked(inputs, profile) for profile in read_profiles(profiles)],
+        "files": inputs.files,
+        "commands": [line for command in commands(inputs) for line in _wrapped(command)],
         "meta": inputs.table.meta,
         "campaign": json.dumps(inputs.table.meta.get("configuration", {}), indent=1, sort_keys=True),
+        "style": _data("report.css"),
+        "script": script,
+        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        "version": version("seqsweep"),
     }
+
+
+def _pictures(inputs: Inputs, points: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    verification = inputs.results.get("verification")
+    return {
+        "bode": pictures.admittance(_as_judged(inputs.table.responses, points)),
+        "loop_pictures": loop_pictures(inputs, points),
+        "modes_picture": pictures.modes(points) if points else None,
+        "time_picture": pictures.resonance_in_time(verification) if verification else None,
+    }
+
+
+def _as_judged(responses: Sequence[FrequencyResponse], points: Sequence[Mapping[str, Any]]) -> list[FrequencyResponse]:
+    """Operating points in the order of their worst case; those without a case keep theirs, behind."""
+    place: dict[Any, int] = {}
+    for k, point in enumerate(points):
+        place.setdefault(point["op_id"], k)
+    return sorted(responses, key=lambda response: place.get(response.meta.get("op_id"), len(points)))
+
+
+def _sections(inputs: Inputs, points: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Identifiers and names of the sections that this report has."""
+    has = inputs.results
+    every = [
+        ("verdict", "Verdict", bool(points)),
+        ("modes", "Closed-loop modes", bool(points)),
+        ("in-time", "Confirmation in time", "verification" in has),
+        ("bank", "Bank of grids", "bank" in has),
+        ("farm", "Farm", "farm" in has),
+        ("region", "Any operating point", "surrogate" in has),
+        ("metrics", "Metrics", "metrics" in has),
+        ("admittance", "Admittance", True),
+        ("swept", "What was swept", True),
+        ("open", "What the data cannot decide", bool(_undecided(inputs, points))),
+        ("checklist", "What operators ask", True),
+        ("provenance", "Provenance", True),
+    ]
+    return [(id_, name) for id_, name, there in every if there]
+
+
+def _wrapped(command: str) -> list[str]:
+    """A command in lines that fit a page, as a shell reads them."""
+    lines = textwrap.wrap(command, 88, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+    return [*(f"{line} \\" for line in lines[:-1]), lines[-1]]
 
 
 def number(value: Any, digits: int = 4) -> str:
     """A number for people; a dash where there is none."""
-    return "–" if value is None or value != value else f"{value:.{digits}g}"  # noqa: RUF001 (a dash is meant)
+    return "\N{EN DASH}" if value is None or value != value else f"{value:.{digits}g}"
 
 
-def sentence(inputs: Inputs, points: Sequence[Mapping[str, Any]]) -> str:
-    """The whole answer in one sentence that needs no vocabulary."""
-    device = inputs.table.meta.get("plant", {}).get("id", "The device")
-    if not points:
-        return f"{device}: this report holds the measured admittance; no verdict on a grid was asked for."
-    counts = Counter(point["verdict"] for point in points)
-    if len(points) == 1:
-        return _sentence_of(device, points[0])
-    parts = ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
-    return f"{device}: of {len(points)} cases {parts}. The worst is {_sentence_of('', points[0])}"
-
-
-def _sentence_of(device: str, point: Mapping[str, Any]) -> str:
-    where = f"{device} at {point['op_id']}".strip() if device else str(point["op_id"])
-    scale = "" if point["scale"] == 1.0 else f" at {point['scale']:g} times the grid impedance"
-    text = f"{where}{scale}: {point['verdict']}"
-    low_high = point.get("resonance_hz")
-    if low_high:
-        text += f", with a resonance at {low_high[0]:.3g} and {low_high[1]:.3g} Hz"
-    if point.get("margin_m") is not None:
-        met = "reached" if point.get("margin_met") else "not reached"
-        text += f" and a margin of {point['margin_m']:.3g} (the required one is {met})"
-    return f"{text}.{_with_k(point)}"
-
-
-def _with_k(point: Mapping[str, Any]) -> str:
-    """What `tune --confirm` measured with damping control in place, as a sentence; nothing where it was not asked."""
-    confirmed, k, margin = (point.get(key) for key in ("with_k", "k", "margin_m_with_k"))
-    if not confirmed or k is None:
-        return ""
-    reached = "" if margin is None else f", with a margin of {margin:.3g}"
-    return f" Swept again with damping gain k = {k:.3g} in place: {confirmed['verdict']}{reached}."
+def percent(value: Any) -> str:
+    """A part of one in per cent; a dash where there is none."""
+    return number(None if value is None else 100.0 * value, 3)
 
 
 def _title(inputs: Inputs) -> str:
@@ -116,12 +167,70 @@ def _title(inputs: Inputs) -> str:
     return " · ".join(str(part) for part in (meta.get("plant", {}).get("id"), name) if part) or "Admittance report"
 
 
-def _worst_first(points: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    rank = {"unstable": 0, "undecided": 1, "stable": 2}
+def _device(inputs: Inputs) -> dict[str, str]:
+    meta = inputs.table.meta
+    bases = meta.get("bases") or {}
+    known = {"rated_voltage_v", "rated_power_va"} <= set(bases)
+    rating = f"{bases['rated_voltage_v']:g} V, {bases['rated_power_va'] / 1e6:g} MVA" if known else ""
+    return {"id": str((meta.get("plant") or {}).get("id", "without a name")), "rating": rating}
 
+
+def _how(meta: Mapping[str, Any]) -> str:
+    """Grid of frequencies, signal and amplitude, in a sentence; nothing where the table was not swept by us."""
+    configuration = meta.get("configuration") or {}
+    injection, sweep = configuration.get("injection") or {}, configuration.get("sweep") or {}
+    if not injection or not sweep:
+        return ""
+    amplitude = injection.get("amplitude_pu")
+    size = f" of {amplitude:g} pu" if isinstance(amplitude, int | float) else f", amplitude {amplitude}"
+    spacing = sweep.get("spacing", "log")
+    return (
+        f"Perturbed by {str(injection.get('kind', '')).replace('_', ' ')}, {injection.get('signal', 'tone')}{size}; "
+        f"{'an' if spacing[:1] in 'aeiou' else 'a'} {spacing} grid of frequencies."
+    )
+
+
+def _bank(found: bank.Bank | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    groups = [("operating point", "grid", "op_id"), ("grid", "operating point", "grid_id")]
+    rows = [{"name": name, "other": other, "rows": found.by(column)[:FOLDED]} for name, other, column in groups]
+    return {
+        "n": len(found),
+        "counts": found.counts,
+        "rows": found.rows(0, MOST),
+        "folded": found.rows(MOST, 10 * MOST),
+        "groups": rows,
+        "picture": bank.picture(found),
+    }
+
+
+def _surrogate(model: Surrogate | None) -> dict[str, Any] | None:
+    """Region of a surrogate and its error."""
+    if model is None:
+        return None
+    bar, where = model.worst_bar
+    names = ("P (MW)", "Q (Mvar)", "|v| (pu)")
+    place = ", ".join(f"{value:.4g}" for value in where)
+    return {
+        "text": f"A surrogate over {len(model.points)} swept operating points gives the admittance at any point of the "
+        f"region below. The 95 % radius of its error is at most {100.0 * bar:.2g} % of |Y|, at "
+        f"(P, Q, |v|) = ({place}).",
+        "axes": [
+            {"name": name, "low": low, "high": high}
+            for name, low, high in zip(names, model.region.low, model.region.high, strict=True)
+        ],
+    }
+
+
+def _metrics(found: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    return None if found is None else {"operating_points": found["operating_points"][: MOST + FOLDED]}
+
+
+def _worst_first(points: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     def key(point: Mapping[str, Any]) -> tuple[int, float]:
         margin = point.get("margin_m")
-        return rank.get(point["verdict"], 1), float("inf") if margin is None else float(margin)
+        return RANK.get(point["verdict"], 1), float("inf") if margin is None else float(margin)
 
     return sorted(points, key=key)
 
@@ -150,15 +259,6 @@ def _unscaled(point: Mapping[str, Any]) -> str:
     return f"{number(r)} + j{number(x)} ohm at {number(grid.get('f1_hz'))} Hz"
 
 
-def _bank(bank: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    if bank is None:
-        return None
-    rows = bank["rows"]
-    rank = {"unstable": 0, "undecided": 1, "stable": 2}
-    rows = sorted(rows, key=lambda r: (rank.get(r["verdict"], 1), -(r.get("re_rad_s") or 0.0)))
-    return {"rows": rows[:MOST], "n": len(rows), "counts": Counter(r["verdict"] for r in rows)}
-
-
 def _swept(response: FrequencyResponse) -> dict[str, Any]:
     facts = response.meta.get("fundamental") or {}
     fact = response.meta.get("stable_on") or {}
@@ -175,10 +275,14 @@ def _swept(response: FrequencyResponse) -> dict[str, Any]:
         "ok": int(np.sum(response.ok)),
         "low_hz": float(response.f_hz[0]),
         "high_hz": float(response.f_hz[-1]),
-        "stable_on": where,
-        "basis": fact.get("basis"),
-        "growth": fact.get("growth_bound_per_s"),
+        "stable_on": "not known" if where is None else f"{where} ({_proof(fact)})",
     }
+
+
+def _proof(fact: Mapping[str, Any]) -> str:
+    growth = fact.get("growth_bound_per_s")
+    bound = "" if growth is None else f"; no excited mode grows faster than {number(growth, 3)} 1/s"
+    return f"{fact.get('basis')}{bound}"
 
 
 def _not_ok(responses: Sequence[FrequencyResponse]) -> list[dict[str, Any]]:
@@ -194,6 +298,8 @@ def _not_ok(responses: Sequence[FrequencyResponse]) -> list[dict[str, Any]]:
 def _undecided(inputs: Inputs, points: Sequence[Mapping[str, Any]]) -> list[str]:
     """What the data cannot decide, in sentences."""
     told = [f"{p['op_id']} at scale {p['scale']:g}: {p['reason']}." for p in points if p["verdict"] == "undecided"]
+    if len(told) > MOST:
+        told[MOST:] = [f"{len(told) - MOST} further cases are undecided as well."]
     unproved = [str(r.meta.get("op_id")) for r in inputs.table.responses if not r.meta.get("stable_on")]
     if unproved:
         told.append(
