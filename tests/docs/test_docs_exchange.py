@@ -83,10 +83,10 @@ def test_the_campaign_of_the_page_names_a_device_elsewhere() -> None:
 
 
 def test_every_option_of_the_commands_is_on_its_page() -> None:
-    from ..support.commands import call
+    from ..support.commands import command
 
-    for command, page in (("inject", "inject.md"), ("import", "exchange.md"), ("export", "exchange.md")):
-        said = call(command, "--help").stdout
+    for name, page in (("inject", "inject.md"), ("import", "exchange.md"), ("export", "exchange.md")):
+        said = command(name, "--help").stdout
         text = (DOCS / page).read_text("utf-8")
         options = set(re.findall(r"(--[a-z][a-z0-9-]+)", said)) - {"--help", "--output", "--force"}
         assert options

@@ -24,7 +24,7 @@ from seqsweep.identify.table.read import Table, read_table, validate_table
 from seqsweep.identify.table.write import write_table
 from seqsweep.sweep.cli.exchange import export_table, import_file, read_file
 
-from ..support.commands import call
+from ..support.commands import command
 
 F1_HZ = 49.97
 BASES = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
@@ -716,13 +716,13 @@ def damaged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 def test_the_commands_take_a_table_out_and_in_again(tmp_path: Path) -> None:
     table = written(tmp_path / "y.parquet", response(Y))
     for name in ("y.csv", "y.mat", "y.s2p"):
-        done = call("export", table, "-o", tmp_path / name)
+        done = command("export", table, "-o", tmp_path / name)
         assert done.returncode == 0, done.stderr
-        done = call("import", tmp_path / name, "-o", tmp_path / f"{name}.parquet")
+        done = command("import", tmp_path / name, "-o", tmp_path / f"{name}.parquet")
         assert done.returncode == 0, done.stderr
         assert "read as admittance in pn, load direction, f1 = 49.97 Hz" in done.stdout
-        assert call("validate", tmp_path / f"{name}.parquet").returncode == 0
-    done = call("tune", tmp_path / "y.csv.parquet", "--grid", "0.012+0.25j", "--confirm")
+        assert command("validate", tmp_path / f"{name}.parquet").returncode == 0
+    done = command("tune", tmp_path / "y.csv.parquet", "--grid", "0.012+0.25j", "--confirm")
     assert done.returncode == 2
     assert "recordings and imports cannot be confirmed" in done.stderr
 
@@ -744,7 +744,7 @@ WRONG_CALLS = {
 def test_a_wrong_call_leaves_nothing_behind(tmp_path: Path, case: str) -> None:
     arguments, words = WRONG_CALLS[case]
     table = written(tmp_path / "y.parquet", response(Y))
-    done = call(*(argument.format(table=table, folder=tmp_path) for argument in arguments))
+    done = command(*(argument.format(table=table, folder=tmp_path) for argument in arguments))
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr

@@ -37,7 +37,7 @@ from seqsweep.sweep.grid_probe.probe import (
 from seqsweep.sweep.planning import make_plan
 from seqsweep.tuning.siso import parse_grid
 
-from ..support.commands import call
+from ..support.commands import command
 from ..support.plants import LateBranch, NoisyBranch
 
 F1_HZ = 50.0
@@ -420,7 +420,7 @@ def test_a_file_that_belies_the_schema_is_seen(change, words):
 
 
 def test_the_command_prints_what_tune_takes_and_writes_what_it_saw(tmp_path):
-    done = call("grid", campaign(tmp_path), "-o", tmp_path / "grid.json", "--plot", tmp_path / "grid.png")
+    done = command("grid", campaign(tmp_path), "-o", tmp_path / "grid.json", "--plot", tmp_path / "grid.png")
     assert done.returncode == 0, done.stderr
     texts = [line.split('"')[1] for line in done.stdout.splitlines() if "--grid" in line]
     first, second = (parse_grid(text, F1_HZ) for text in texts)
@@ -438,7 +438,7 @@ def test_the_command_prints_what_tune_takes_and_writes_what_it_saw(tmp_path):
 def test_a_noisy_plant_gets_errors_and_an_unstable_grid_its_reason(tmp_path):
     parameters = "[plant.parameters]\nlevel = 5e-3\ncorner_hz = 1e4"
     file = campaign(tmp_path, "python:plants:NoisyTurbine", parameters, second="beyond", scale=1.4)
-    done = call("grid", file, "--signal", "qrb", "-o", tmp_path / "grid.json")
+    done = command("grid", file, "--signal", "qrb", "-o", tmp_path / "grid.json")
     assert done.returncode == 1
     assert "beyond: diverged: the equilibrium is unstable" in done.stdout
     point, beyond = conforming(tmp_path / "grid.json")["operating_points"]
@@ -449,7 +449,7 @@ def test_a_noisy_plant_gets_errors_and_an_unstable_grid_its_reason(tmp_path):
 
 
 def test_an_operating_point_nobody_has_is_refused_with_those_there_are(tmp_path):
-    done = call("grid", campaign(tmp_path), "--op", "nowhere")
+    done = command("grid", campaign(tmp_path), "--op", "nowhere")
     assert done.returncode == 2
     assert "no operating point 'nowhere' in the campaign; it has table1, strong" in done.stderr
 
@@ -459,11 +459,11 @@ def test_an_ideal_source_has_no_grid_behind_it(tmp_path):
     point = '[[operating_point]]\nid = "p"\nactive_power_mw = 0.65\nterminal_voltage_pu = 1.0\n'
     head = '[campaign]\nname = "ideal"\n[plant]\nid = "dpmsg-v1"\n'
     file.write_text(f"{head}{point}[sweep]\nf_hz = [75.0]\n", "utf-8")
-    done = call("grid", file)
+    done = command("grid", file)
     assert done.returncode == 2
     assert "stands on an ideal source: there is no grid behind its PCC" in done.stderr
     source = ["--set", 'source.kind="thevenin"', "--set", "source.r_ohm=0.012", "--set", "source.x_ohm=0.2"]
-    done = call("grid", file, *source)
+    done = command("grid", file, *source)
     assert done.returncode == 0, done.stderr
     assert '--grid "0.0120000+0.2000000j"' in done.stdout
 

@@ -14,7 +14,7 @@ from seqsweep.identify.table.read import read_table, validate_table
 from ..support import by_hand, oracle
 from ..support import recording_files as files
 from ..support.by_hand import POWER_W, VOLTAGE_V, Stretch
-from ..support.commands import call
+from ..support.commands import command
 from .test_hear import F1, noisy, relative_norms
 
 DT = 2e-4
@@ -89,7 +89,7 @@ def test_missing_samples_and_no_fundamental_are_refused():
 
 def test_a_broadband_file_becomes_a_table_and_says_how(tmp_path):
     files.comtrade(tmp_path / "prbs", files.six(SAMPLED.record(20.0)), form="FLOAT32", rate_hz=1.0 / DT)
-    done = call("identify", tmp_path / "prbs.cfg", "--direction", "load", "-o", tmp_path / "y.parquet")
+    done = command("identify", tmp_path / "prbs.cfg", "--direction", "load", "-o", tmp_path / "y.parquet")
     assert "taken as a broadband record" in done.stderr
     assert done.returncode in (0, 1)  # rows next to f1, where 20 s do not resolve the device, may be noisy
     assert validate_table(tmp_path / "y.parquet") == []

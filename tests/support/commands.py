@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+import warnings
+from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
+from tempfile import TemporaryFile, gettempdir
+from unittest.mock import patch
 
 SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
 HERE = Path(__file__).parent
@@ -61,6 +65,69 @@ def call(*arguments, timeout=60, wrapper=(), **options):
     return subprocess.run(
         command, cwd=HERE, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL, **options
     )
+
+
+def command(*arguments):
+    """`call` within this process, which has the heavy imports behind it; what it leaves in the process is taken back.
+
+    Not for what concerns the process itself: signals, limits, environment, children that outlive it.
+    """
+    from seqsweep.sweep.cli import main
+
+    with TemporaryFile("w+", encoding="utf-8") as out, TemporaryFile("w+", encoding="utf-8") as err:
+        with _as_a_process([SEQSWEEP, *map(str, arguments)], out, err):
+            status = main._status()
+        return subprocess.CompletedProcess(arguments, status, *map(_read_again, (out, err)))
+
+
+@contextmanager
+def _as_a_process(argv, out, err):
+    """Folder, arguments, streams, warnings and modules of a process of its own, given back at the end."""
+    kept_modules, kept_signals = set(sys.modules), {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    patches = [patch.object(sys, "argv", argv), patch.object(sys, "path", [*sys.path]), patch.dict(os.environ)]
+    with ExitStack() as stack:
+        for context in (*patches, chdir(HERE), warnings.catch_warnings(), _streams(out, err)):
+            stack.enter_context(context)
+        warnings.resetwarnings()
+        warnings.showwarning = lambda message, *_, **__: print(f"Warning: {message}", file=sys.stderr)
+        try:
+            yield
+        finally:
+            for number, handler in kept_signals.items():
+                signal.signal(number, handler)
+            for name in set(sys.modules) - kept_modules:
+                if _is_a_tests_own(sys.modules[name]):
+                    del sys.modules[name]
+
+
+@contextmanager
+def _streams(out, err):
+    """The three standard streams, for this process and its children."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(k) for k in range(3)]
+    with open(os.devnull) as nothing, redirect_stdout(out), redirect_stderr(err), patch.object(sys, "stdin", nothing):
+        for k, file in enumerate((nothing, out, err)):
+            os.dup2(file.fileno(), k)
+        try:
+            yield
+        finally:
+            out.flush()
+            err.flush()
+            for k, descriptor in enumerate(kept):
+                os.dup2(descriptor, k)
+                os.close(descriptor)
+
+
+def _read_again(file):
+    file.seek(0)
+    return file.read()
+
+
+def _is_a_tests_own(module):
+    """Whether a module is a plant of a test: the next command may find another one under its name."""
+    path = getattr(module, "__file__", None) or ""
+    return path.startswith((str(HERE), gettempdir()))
 
 
 def start(*arguments, **options):

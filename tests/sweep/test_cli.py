@@ -18,6 +18,7 @@ from ..support.commands import (
     SEQSWEEP,
     call,
     campaign,
+    command,
     end_group,
     group_members,
     shards_of,
@@ -66,7 +67,7 @@ BY_SETTING = {
 def test_a_wrong_value_is_refused_by_name(tmp_path, case):
     setting, words = BY_SETTING[case]
     path, before = campaign(tmp_path), ["campaign.toml"]
-    assert_refused(call("run", path, "-o", tmp_path / "y.parquet", "--set", setting), words)
+    assert_refused(command("run", path, "-o", tmp_path / "y.parquet", "--set", setting), words)
     assert listing(tmp_path) == before
 
 
@@ -85,7 +86,7 @@ def test_an_impossible_frequency_is_refused_with_the_reason(tmp_path, case):
     path = campaign(tmp_path)
     text = path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", f"f_hz = {f_hz}")
     path.write_text(text)
-    assert_refused(call("run", path, "-o", tmp_path / "y.parquet"), words)
+    assert_refused(command("run", path, "-o", tmp_path / "y.parquet"), words)
     assert listing(tmp_path) == ["campaign.toml"]
 
 
@@ -93,7 +94,7 @@ def test_all_problems_of_a_file_are_told_at_once_each_at_its_line(tmp_path):
     path = campaign(tmp_path, powers=(0.1, 0.2))
     text = path.read_text().replace('id = "p1"', 'id = "p0"').replace("points = 8", "pionts = 8")
     path.write_text(text.replace("amplitude_pu = 0.001", "amplitude_pu = 7"))
-    done = call("run", path, "-o", tmp_path / "y.parquet")
+    done = command("run", path, "-o", tmp_path / "y.parquet")
     lines = done.stderr.strip().splitlines()
     assert done.returncode == WRONG_INPUT
     assert len(lines) == 3
@@ -104,7 +105,7 @@ def test_all_problems_of_a_file_are_told_at_once_each_at_its_line(tmp_path):
 
 
 def test_a_missing_file_is_refused_with_the_way_out(tmp_path):
-    done = call("run", tmp_path / "none.toml", "-o", tmp_path / "y.parquet")
+    done = command("run", tmp_path / "none.toml", "-o", tmp_path / "y.parquet")
     assert_refused(done, "no such file; `seqsweep init -o")
     assert listing(tmp_path) == []
 
@@ -119,18 +120,18 @@ def test_a_missing_file_is_refused_with_the_way_out(tmp_path):
     ],
 )
 def test_a_wrong_option_is_refused(tmp_path, arguments, words):
-    assert_refused(call("run", campaign(tmp_path), "-o", tmp_path / "y.parquet", *arguments), words)
+    assert_refused(command("run", campaign(tmp_path), "-o", tmp_path / "y.parquet", *arguments), words)
     assert listing(tmp_path) == ["campaign.toml"]
 
 
 def test_an_output_that_cannot_be_is_refused_before_anything_runs(tmp_path):
     path = campaign(tmp_path)
     (tmp_path / "taken.parquet").write_text("mine")
-    assert_refused(call("run", path, "-o", tmp_path), "is a folder; name a file")
-    assert_refused(call("run", path, "-o", tmp_path / "none" / "y.parquet"), "no such folder")
-    assert_refused(call("run", path, "-o", path / "y.parquet"), "no such folder")
-    assert_refused(call("run", path, "-o", tmp_path / "taken.parquet"), "exists; --force replaces it")
-    assert_refused(call("run", path, "-o", "/dev/null", "--force"), "is no ordinary file")
+    assert_refused(command("run", path, "-o", tmp_path), "is a folder; name a file")
+    assert_refused(command("run", path, "-o", tmp_path / "none" / "y.parquet"), "no such folder")
+    assert_refused(command("run", path, "-o", path / "y.parquet"), "no such folder")
+    assert_refused(command("run", path, "-o", tmp_path / "taken.parquet"), "exists; --force replaces it")
+    assert_refused(command("run", path, "-o", "/dev/null", "--force"), "is no ordinary file")
     assert (tmp_path / "taken.parquet").read_text() == "mine"
     assert listing(tmp_path) == ["campaign.toml", "taken.parquet"]
 
@@ -145,10 +146,10 @@ def test_a_decision_is_not_replaced_unasked_nor_put_where_it_cannot_be(tmp_path,
     taken, folder = tmp_path / "taken.json", tmp_path / "folder.png"
     taken.write_text("mine")
     folder.mkdir()
-    assert_refused(call(*arguments, "-o", taken), "taken.json exists; --force replaces it")
-    assert_refused(call(*arguments, "-o", folder), "is a folder; name a file")
-    assert_refused(call(*arguments, "-o", "/dev/null", "--force"), "is no ordinary file")
-    assert_refused(call(*arguments, "--plot", folder), "is a folder; name a file")
+    assert_refused(command(*arguments, "-o", taken), "taken.json exists; --force replaces it")
+    assert_refused(command(*arguments, "-o", folder), "is a folder; name a file")
+    assert_refused(command(*arguments, "-o", "/dev/null", "--force"), "is no ordinary file")
+    assert_refused(command(*arguments, "--plot", folder), "is a folder; name a file")
     assert taken.read_text() == "mine"
     assert listing(tmp_path) == ["folder.png", "taken.json"]
 
@@ -166,38 +167,38 @@ def test_a_decision_is_not_replaced_unasked_nor_put_where_it_cannot_be(tmp_path,
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
 def test_a_name_that_promises_another_format_is_refused(tmp_path, arguments, name, words):
-    assert_refused(call(*arguments, tmp_path / name), words)
+    assert_refused(command(*arguments, tmp_path / name), words)
     assert listing(tmp_path) == []
 
 
 def test_a_decision_is_replaced_with_force_and_a_picture_is_drawn_again(tmp_path):
     table, out, picture = tmp_path / "y.parquet", tmp_path / "tuning.json", tmp_path / "tuning.svg"
-    assert call("run", campaign(tmp_path, plant="dpmsg-v1", n=24), "-o", table).returncode == OK
+    assert command("run", campaign(tmp_path, plant="dpmsg-v1", n=24), "-o", table).returncode == OK
     out.write_text("old")
     picture.write_text("old")
-    done = call("tune", table, "--grid", "0.012+0.25j", "-o", out, "--plot", picture, "--force")
+    done = command("tune", table, "--grid", "0.012+0.25j", "-o", out, "--plot", picture, "--force")
     assert done.returncode == OK, done.stderr
     first = out.read_bytes()
     assert b'"seqsweep-tuning"' in first
-    assert call("tune", table, "--grid", "0.012+0.25j", "--plot", picture).returncode == OK
+    assert command("tune", table, "--grid", "0.012+0.25j", "--plot", picture).returncode == OK
     assert picture.stat().st_size > 10_000
-    assert_refused(call("tune", table, "--grid", "0.012+0.25j", "-o", out), "exists; --force replaces it")
+    assert_refused(command("tune", table, "--grid", "0.012+0.25j", "-o", out), "exists; --force replaces it")
     assert out.read_bytes() == first
 
 
 def test_a_file_that_is_no_table_is_refused(tmp_path):
     whole, foreign, cut = tmp_path / "y.parquet", tmp_path / "foreign.parquet", tmp_path / "cut.parquet"
-    assert call("run", campaign(tmp_path), "-o", whole).returncode == OK
+    assert command("run", campaign(tmp_path), "-o", whole).returncode == OK
     pq.write_table(pa.table({"a": [1, 2]}), foreign)
     cut.write_bytes(whole.read_bytes()[:-100])
     (tmp_path / "text.parquet").write_text("f,y\n1,2\n")
     (tmp_path / "empty.parquet").touch()
-    for command, names in {
+    for asked, names in {
         "show": ["foreign", "cut", "missing"],
         "validate": ["foreign", "cut", "text", "empty"],
     }.items():
         for name in names:
-            assert_refused(call(command, tmp_path / f"{name}.parquet"), f"{name}.parquet")
+            assert_refused(command(asked, tmp_path / f"{name}.parquet"), f"{name}.parquet")
 
 
 # The tour
@@ -205,47 +206,47 @@ def test_a_file_that_is_no_table_is_refused(tmp_path):
 
 def test_from_init_to_show_as_the_help_says(tmp_path):
     path, table, picture = tmp_path / "campaign.toml", tmp_path / "y.parquet", tmp_path / "bode.svg"
-    assert call("init", "-o", path).returncode == OK
-    assert_refused(call("init", "-o", path), "exists")
+    assert command("init", "-o", path).returncode == OK
+    assert_refused(command("init", "-o", path), "exists")
     fewer = ["--set", "sweep.points=12"]
-    planned = call("plan", path, *fewer)
+    planned = command("plan", path, *fewer)
     assert planned.returncode == OK
     assert "28 shots of 0.2817 V peak (0.0005 pu), series_voltage" in planned.stdout
     assert listing(tmp_path) == ["campaign.toml"]
-    ran = call("run", path, "-o", table, *fewer)
+    ran = command("run", path, "-o", table, *fewer)
     assert (ran.returncode, ran.stdout) == (OK, "")
     assert "12 ok" in ran.stderr
-    shown = call("show", table, "--plot", picture)
+    shown = command("show", table, "--plot", picture)
     assert shown.returncode == OK
     assert "p065" in shown.stdout
     assert picture.stat().st_size > 10_000
-    valid = call("validate", table)
+    valid = command("validate", table)
     assert (valid.returncode, valid.stdout.strip()) == (OK, f"{table}: conforms")
     assert listing(tmp_path) == ["bode.svg", "campaign.toml", "y.parquet"]
     first = table.read_bytes()
-    assert call("run", path, "-o", table, "--force", "--jobs", 1, *fewer).returncode == OK
+    assert command("run", path, "-o", table, "--force", "--jobs", 1, *fewer).returncode == OK
     assert table.read_bytes() == first
 
 
 def test_check_says_pass_or_fail_in_words_and_status():
-    sound, broken = call("check", "branch-v1"), call("check", "python:plants:DriftingBranch")
+    sound, broken = command("check", "branch-v1"), command("check", "python:plants:DriftingBranch")
     assert sound.returncode == OK
     assert "FAIL" not in sound.stdout
     assert broken.returncode == NOT_ALL_OK
     assert "FAIL" in broken.stdout
     assert "Traceback" not in broken.stderr
-    assert_refused(call("check", "python:plants:Nothing"), "has no 'Nothing'")
+    assert_refused(command("check", "python:plants:Nothing"), "has no 'Nothing'")
 
 
 def test_rows_that_are_not_ok_end_in_status_one_with_a_whole_table(tmp_path):
     path, table = campaign(tmp_path, plant="dpmsg-v1", n=4), tmp_path / "y.parquet"
     weak = "grid = { r_ohm = 0.012, x_ohm = 0.25, scale = 1.4 }"
     path.write_text(path.read_text().replace("terminal_voltage_pu = 1.0", weak) + '\n[source]\nkind = "thevenin"\n')
-    done = call("run", path, "-o", table)
+    done = command("run", path, "-o", table)
     assert done.returncode == NOT_ALL_OK
     assert done.stderr.strip().splitlines()[-1] == f"{table}: 4 diverged"
-    assert call("validate", table).returncode == OK
-    shown = call("show", table)
+    assert command("validate", table).returncode == OK
+    shown = command("show", table)
     assert shown.returncode == OK
     assert "diverged" in shown.stdout
     assert "unstable" in shown.stdout
@@ -254,11 +255,11 @@ def test_rows_that_are_not_ok_end_in_status_one_with_a_whole_table(tmp_path):
 def test_a_plant_that_fails_in_every_way_ends_in_status_one(tmp_path):
     lines = '[plant.parameters]\nhow = "raises"\nlow_hz = 100.0\nhigh_hz = 300.0'
     path = campaign(tmp_path, plant="python:plants:FailingBranch", plant_lines=lines)
-    done = call("run", path, "-o", tmp_path / "y.parquet")
+    done = command("run", path, "-o", tmp_path / "y.parquet")
     assert done.returncode == NOT_ALL_OK
     assert "failed" in done.stderr
     assert "Traceback" not in done.stderr
-    shown = call("show", tmp_path / "y.parquet")
+    shown = command("show", tmp_path / "y.parquet")
     assert "the converter tripped" in shown.stdout
 
 
@@ -323,10 +324,10 @@ def test_ctrl_c_ends_within_two_seconds_and_the_same_command_goes_on(tmp_path, b
         wait_for(lambda: not group_members(process.pid), 10.0)  # no worker is left behind
     finally:
         end_group(process)
-    again = call("run", path, "-o", table, "--jobs", 2)
+    again = command("run", path, "-o", table, "--jobs", 2)
     assert again.returncode == OK
     assert re.search(r"^going on: (\d+)/96 points are measured already, (\d+) left$", again.stderr, re.MULTILINE)
-    undisturbed = call("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading")
+    undisturbed = command("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading")
     assert undisturbed.returncode == OK
     assert "going on" not in undisturbed.stderr
     assert table.read_bytes() == fresh.read_bytes()
@@ -356,7 +357,7 @@ def test_a_second_run_on_one_output_says_so_and_stops(tmp_path):
     try:
         wait_for((table.with_name(table.name + ".parts") / "lock").exists)
         time.sleep(0.2)  # the file is there a moment before it is locked
-        assert_refused(call("run", path, "-o", table), "another run is writing this output", MACHINE)
+        assert_refused(command("run", path, "-o", table), "another run is writing this output", MACHINE)
         assert process.poll() is None  # the first is not disturbed
     finally:
         end_group(process)
@@ -365,12 +366,12 @@ def test_a_second_run_on_one_output_says_so_and_stops(tmp_path):
 def test_a_disk_that_takes_no_more_is_the_machines_fault_and_costs_nothing_kept(tmp_path):
     """`ulimit -f` stands in for the full disk: a file may hold 1 KiB, a shard of eight points needs more."""
     path, table, fresh = campaign(tmp_path), tmp_path / "y.parquet", tmp_path / "fresh.parquet"
-    assert call("run", path, "-o", fresh).returncode == OK
+    assert command("run", path, "-o", fresh).returncode == OK
     full = call("run", path, "-o", table, wrapper=["bash", "-c", 'ulimit -f 1 && exec "$@"', "bash"])
     assert_refused(full, "run the same command again to go on", MACHINE)
     assert not table.exists()
     assert not list(tmp_path.glob("**/*.tmp"))
-    assert call("run", path, "-o", table).returncode == OK
+    assert command("run", path, "-o", table).returncode == OK
     assert table.read_bytes() == fresh.read_bytes()
     assert listing(tmp_path) == ["campaign.toml", "fresh.parquet", "y.parquet"]
 
@@ -398,7 +399,7 @@ def mounted(tmp_path):
 
 def test_a_full_file_system_is_the_machines_fault_and_nothing_false_is_left(tmp_path, mounted):
     path, small = campaign(tmp_path, n=40), mounted("size=16k")
-    done = call("run", path, "-o", small / "y.parquet")
+    done = command("run", path, "-o", small / "y.parquet")
     assert_refused(done, "No space left on device", MACHINE)
     assert not (small / "y.parquet").exists()
     assert not list(small.glob("**/*.tmp"))
@@ -407,14 +408,14 @@ def test_a_full_file_system_is_the_machines_fault_and_nothing_false_is_left(tmp_
 
 def test_a_read_only_folder_is_the_machines_fault(tmp_path, mounted):
     path, locked = campaign(tmp_path), mounted("ro")
-    assert_refused(call("run", path, "-o", locked / "y.parquet"), "no permission to write", MACHINE)
-    assert_refused(call("init", "-o", locked / "c.toml"), "no permission to write", MACHINE)
+    assert_refused(command("run", path, "-o", locked / "y.parquet"), "no permission to write", MACHINE)
+    assert_refused(command("init", "-o", locked / "c.toml"), "no permission to write", MACHINE)
 
 
 def test_a_closed_pipe_is_no_error(tmp_path):
     """`seqsweep show y.parquet | head -1`, in the worst case: the reader is gone before the first line."""
     table = tmp_path / "y.parquet"
-    assert call("run", campaign(tmp_path), "-o", table).returncode == OK
+    assert command("run", campaign(tmp_path), "-o", table).returncode == OK
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run([SEQSWEEP, "show", table], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60)

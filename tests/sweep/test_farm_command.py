@@ -10,7 +10,7 @@ import pytest
 
 from seqsweep.identify.table.read import validate_table
 
-from ..support.commands import call
+from ..support.commands import command
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "farm"
 QUICK = ["--set", "sweep.points=24", "--set", "sweep.probes=0", "--set", "sweep.operating_points.tolerance=5e-3"]
@@ -20,14 +20,14 @@ QUICK = ["--set", "sweep.points=24", "--set", "sweep.probes=0", "--set", "sweep.
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("farm")
     shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
-    done = call("run", folder / "turbine.toml", "-o", folder / "turbine.parquet", "--jobs", 1, *QUICK)
+    done = command("run", folder / "turbine.toml", "-o", folder / "turbine.parquet", "--jobs", 1, *QUICK)
     assert done.returncode == 0, done.stderr
     return folder
 
 
 def test_the_example_is_judged_and_written(folder):
     outputs = ["-o", folder / "f.json", "--plot", folder / "f.svg", "--table", folder / "pcc.parquet"]
-    done = call("farm", folder / "farm.toml", *outputs)
+    done = command("farm", folder / "farm.toml", *outputs)
     assert done.returncode == 0, done.stderr
     content = json.loads((folder / "f.json").read_text())
     assert content["verdict"] == "stable"
@@ -39,7 +39,7 @@ def test_the_example_is_judged_and_written(folder):
 
 def test_a_turbine_less_lets_the_others_stand_at_smaller_angles(folder):
     for name, arguments in (("all", []), ("less", ["--out", "wt1"])):
-        assert call("farm", folder / "farm.toml", *arguments, "-o", folder / f"{name}.json").returncode == 0
+        assert command("farm", folder / "farm.toml", *arguments, "-o", folder / f"{name}.json").returncode == 0
     whole, less = (json.loads((folder / f"{name}.json").read_text())["devices"] for name in ("all", "less"))
     assert [device["name"] for device in less] == ["wt2", "wt3"]
     assert less[0]["angle_deg"] < whole[1]["angle_deg"]
@@ -47,7 +47,7 @@ def test_a_turbine_less_lets_the_others_stand_at_smaller_angles(folder):
 
 def test_a_binary_file_or_a_folder_is_no_farm(folder):
     for given, words in ((folder / "turbine.parquet", "no text; a farm file is TOML"), (folder, "is a folder")):
-        done = call("farm", given)
+        done = command("farm", given)
         assert done.returncode == 2
         assert words in done.stderr
 
@@ -66,7 +66,7 @@ def test_a_binary_file_or_a_folder_is_no_farm(folder):
 def test_a_wrong_farm_file_is_refused_in_one_line(folder, change, words):
     text = (EXAMPLE / "farm.toml").read_text("utf-8")
     (folder / "bad.toml").write_text(text.replace(*change), "utf-8")
-    done = call("farm", folder / "bad.toml")
+    done = command("farm", folder / "bad.toml")
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert "Traceback" not in done.stderr

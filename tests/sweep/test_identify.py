@@ -23,7 +23,7 @@ from ..identify.test_hear import F1, branch, branch_y, noisy, relative_norms
 from ..support import by_hand
 from ..support import recording_files as files
 from ..support.by_hand import Stretch
-from ..support.commands import call
+from ..support.commands import command
 from ..support.recorded_device import Device, joined, tones
 
 DATA = Path(__file__).parents[2] / "data"
@@ -82,7 +82,7 @@ def identified(tmp_path, *arguments, status=0):
     """Run the command; its table's only response and what it said."""
     output = tmp_path / "y.parquet"
     jobs = () if "--jobs" in arguments else ("--jobs", 1)
-    done = call("identify", *arguments, *jobs, "-o", output, "--force")
+    done = command("identify", *arguments, *jobs, "-o", output, "--force")
     assert done.returncode == status, done.stderr
     if status in (0, 1):
         assert validate_table(output) == []
@@ -220,7 +220,7 @@ def test_the_table_does_not_depend_on_the_number_of_workers(tmp_path):
 def test_recordings_cannot_be_confirmed_and_are_refused_by_name(tmp_path):
     write(tmp_path, (20.0, 31.0, 77.0, 115.0, 153.0, 203.0, 250.3, 330.3, 400.3, 560.3), length_s=2.0)
     identified(tmp_path, *sorted(tmp_path.glob("*.cfg")), "--direction", "load")
-    done = call("tune", tmp_path / "y.parquet", "--grid", "0.012+0.25j", "--confirm")
+    done = command("tune", tmp_path / "y.parquet", "--grid", "0.012+0.25j", "--confirm")
     assert done.returncode == 2
     assert "recordings and imports cannot be confirmed" in done.stderr
 
@@ -429,7 +429,7 @@ def test_power_into_the_device_is_said_with_the_direction_that_would_explain_it(
     write(tmp_path, (77.0,))
     out = tmp_path / "y.parquet"
     load, generator = (
-        call("identify", tmp_path, "-o", out, "--direction", direction, "--force", "--jobs", "1").stderr
+        command("identify", tmp_path, "-o", out, "--direction", direction, "--force", "--jobs", "1").stderr
         for direction in ("load", "generator")
     )
     assert "MW when its current counts as --direction load says; if it generates" in load
@@ -444,10 +444,10 @@ def test_units_are_told_where_the_files_do_not(tmp_path):
         files.text(tmp_path / f"{k}.csv", samples, heads=list(files.NAMES))
     arguments = ["identify", tmp_path, "-o", tmp_path / "y.parquet", "--direction", "load", "--jobs", "1"]
     rating = ["--rated-voltage-v", "690", "--rated-power-va", "1.632e6"]
-    refused = call(*arguments, *rating)
+    refused = command(*arguments, *rating)
     assert refused.returncode == 2
     assert "its numbers as kV would be" in refused.stderr
-    done = call(*arguments, *rating, "--voltage-unit", "kV", "--current-unit", "kA")
+    done = command(*arguments, *rating, "--voltage-unit", "kV", "--current-unit", "kA")
     assert done.returncode == 0, done.stderr
     response = read_table(tmp_path / "y.parquet").responses[0]
     truth = np.array([branch_matrix(f) for f in response.f_hz])

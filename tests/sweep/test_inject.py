@@ -16,7 +16,7 @@ from seqsweep.sweep.playback.inject import InjectError, Timing, chosen, inject, 
 from seqsweep.sweep.playback.manifest import Manifest, manifest_violations
 from seqsweep.sweep.playback.waveform_files import phases
 
-from ..support.commands import call, campaign
+from ..support.commands import campaign, command
 
 RATE_HZ = 5000.0
 TIMING = Timing(RATE_HZ, quiet_s=0.2, settle_s=0.1, windows=1)
@@ -323,15 +323,15 @@ def test_the_command_writes_files_and_says_how_many(tmp_path: Path) -> None:
     path = campaign(tmp_path, powers=(0.1, 0.2), n=3)
     out = tmp_path / "out"
     common = ("--format", "comtrade", "--rate", "5000", "--settle", "0.1")
-    done = call("inject", path, "-o", out, *common)
+    done = command("inject", path, "-o", out, *common)
     assert done.returncode == 2
     assert "choose with --op ID: p0, p1" in done.stderr
     assert not out.exists()
-    done = call("inject", path, "-o", out, *common, "--op", "p1")
+    done = command("inject", path, "-o", out, *common, "--op", "p1")
     assert done.returncode == 0, done.stderr
     assert "p1, 6 experiments in 1 file" in done.stdout
     assert sorted(file.name for file in out.iterdir()) == ["manifest.json", "shot_000.cfg", "shot_000.dat"]
-    done = call("inject", path, "-o", out, *common, "--op", "p1")
+    done = command("inject", path, "-o", out, *common, "--op", "p1")
     assert done.returncode == 2
     assert "exists; --force writes over it" in done.stderr
     elsewhere = [
@@ -339,7 +339,7 @@ def test_the_command_writes_files_and_says_how_many(tmp_path: Path) -> None:
         "plant.parameters={f1_hz = 60.0, rated_voltage_v = 400.0, rated_power_va = 1e4}",
     ]
     settings = [each for setting in elsewhere for each in ("--set", setting)]
-    done = call("inject", path, "-o", out, *common, "--op", "p0", "--force", *settings)
+    done = command("inject", path, "-o", out, *common, "--op", "p0", "--force", *settings)
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "manifest.json").read_text())["f1_hz"] == 60.0
 
@@ -347,7 +347,7 @@ def test_the_command_writes_files_and_says_how_many(tmp_path: Path) -> None:
 def test_force_removes_the_files_of_the_earlier_run_and_no_others(tmp_path: Path) -> None:
     path, out = campaign(tmp_path, n=3), tmp_path / "out"
     common = ("--rate", "5000", "--settle", "0.1", "--longest", "0")
-    assert call("inject", path, "-o", out, "--format", "comtrade", *common).returncode == 0
+    assert command("inject", path, "-o", out, "--format", "comtrade", *common).returncode == 0
     earlier = json.loads((out / "manifest.json").read_text())
     names = ["../outside.csv", "../shot_000.csv", "notes.csv", "..", "shot_000.cfg/x.csv", 7, None]
     earlier["experiments"] += [{"file": name} for name in names] + [{}, "x"]
@@ -355,7 +355,7 @@ def test_force_removes_the_files_of_the_earlier_run_and_no_others(tmp_path: Path
     kept = [tmp_path / "outside.csv", tmp_path / "shot_000.csv", out / "notes.csv", out / "shot_000.dat.bak"]
     for each in [*kept, out / "shot_777.cfg"]:
         each.write_text("mine")
-    done = call("inject", path, "-o", out, "--format", "mat", *common, "--force")
+    done = command("inject", path, "-o", out, "--format", "mat", *common, "--force")
     assert done.returncode == 0, done.stderr
     assert all(each.read_text() == "mine" for each in kept)
     written = {each["file"] for each in json.loads((out / "manifest.json").read_text())["experiments"]}
@@ -378,7 +378,7 @@ def test_a_manifest_of_something_else_removes_nothing(tmp_path: Path, content: s
 
 def test_a_campaign_for_a_device_elsewhere_is_not_run(tmp_path: Path) -> None:
     path = campaign(tmp_path, plant="external")
-    done = call("run", path, "-o", tmp_path / "y.parquet")
+    done = command("run", path, "-o", tmp_path / "y.parquet")
     assert done.returncode == 2
     assert "cannot be driven from here; seqsweep inject writes files" in done.stderr
 
@@ -395,7 +395,7 @@ WRONG_CALLS = {
 @pytest.mark.parametrize("case", WRONG_CALLS)
 def test_a_wrong_call_writes_nothing(tmp_path: Path, case: str) -> None:
     arguments, words = WRONG_CALLS[case]
-    done = call("inject", campaign(tmp_path), "-o", tmp_path / "out", *arguments)
+    done = command("inject", campaign(tmp_path), "-o", tmp_path / "out", *arguments)
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr

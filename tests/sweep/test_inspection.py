@@ -10,7 +10,7 @@ import pytest
 from seqsweep.plant.controllers.shared_object import SharedObjectError, read_shared_object
 from seqsweep.sweep.cli.check import inspect, is_inspected
 
-from ..support.commands import SEQSWEEP, call, campaign
+from ..support.commands import SEQSWEEP, campaign, command
 from ..support.fmus import compiler, fmu
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -81,7 +81,7 @@ def test_an_fmu_is_read_and_not_unpacked(tmp_path):
     compiler()
     path = fmu(tmp_path, "STATE")
     before = sorted(file.name for file in tmp_path.iterdir())
-    said = call("check", path)
+    said = command("check", path)
     assert said.returncode == 0, said.stderr
     for words in (
         "FMI 2.0, model box 3",
@@ -99,7 +99,7 @@ def test_an_fmu_is_read_and_not_unpacked(tmp_path):
 
 def test_an_archive_that_lies_in_wait_is_wrong_input(tmp_path):
     (tmp_path / "box.fmu").write_text("not a zip")
-    done = call("check", tmp_path / "box.fmu")
+    done = command("check", tmp_path / "box.fmu")
     assert (done.returncode, "not an FMU" in done.stderr) == (2, True)
 
 
@@ -192,6 +192,6 @@ def test_an_fmu_without_its_parameters_says_which_and_where_they_go(tmp_path):
 
 
 def test_the_plant_of_a_campaign_is_driven_with_its_parameters(tmp_path):
-    done = call("check", campaign(tmp_path, plant_lines="[plant.parameters]\nr_ohm = 0.2\ndt_s = 1e-4"))
+    done = command("check", campaign(tmp_path, plant_lines="[plant.parameters]\nr_ohm = 0.2\ndt_s = 1e-4"))
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("pass  attributes        branch-v1: f1 = 50 Hz, dt = 0.0001 s")

@@ -14,7 +14,7 @@ from seqsweep.tuning.siso import parse_grid
 from seqsweep.tuning.worst import margins_of, worst_point
 
 from ..support import oracle
-from ..support.commands import call
+from ..support.commands import command
 
 REGION = """
 [campaign]
@@ -37,7 +37,7 @@ tolerance = 5e-3
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("region")
     (folder / "region.toml").write_text(REGION)
-    done = call("run", folder / "region.toml", "-o", folder / "y.parquet", "--jobs", 1)
+    done = command("run", folder / "region.toml", "-o", folder / "y.parquet", "--jobs", 1)
     assert done.returncode == 0, done.stderr
     assert "Y is certified to 0.005 over the region" in done.stderr
     return folder
@@ -67,10 +67,10 @@ def test_an_interrupted_region_goes_on_to_the_same_bytes(folder):
     out = folder / "again.parquet"
     rounds = folder / "again.parquet.rounds"
     (rounds / "0002.parquet").mkdir(parents=True)
-    assert call("run", folder / "region.toml", "-o", out, "--jobs", 1).returncode != 0
+    assert command("run", folder / "region.toml", "-o", out, "--jobs", 1).returncode != 0
     assert (rounds / "0001.parquet").exists()
     (rounds / "0002.parquet").rmdir()
-    assert call("run", folder / "region.toml", "-o", out, "--jobs", 2).returncode == 0
+    assert command("run", folder / "region.toml", "-o", out, "--jobs", 2).returncode == 0
     assert out.read_bytes() == (folder / "y.parquet").read_bytes()
 
 
@@ -92,10 +92,10 @@ def test_load_flow_of_the_worst_point_is_that_of_the_exact_device(folder):
 
 
 def test_predictions_are_a_table_that_tune_reads(folder):
-    done = call("surrogate", folder / "y.parquet", "--at", "0.65,0,1.0", "-o", folder / "p.parquet")
+    done = command("surrogate", folder / "y.parquet", "--at", "0.65,0,1.0", "-o", folder / "p.parquet")
     assert done.returncode == 0, done.stderr
     assert validate_table(folder / "p.parquet") == []
-    done = call("tune", folder / "p.parquet", "--grid", "0.012+0.25j")
+    done = command("tune", folder / "p.parquet", "--grid", "0.012+0.25j")
     assert done.returncode == 0, done.stderr
     assert "p0.65_q0_v1" in done.stdout
     assert re.search(r"\b1\.(29|30)\d\b", done.stdout), done.stdout  # the exact turbine has m = 1.298 here
@@ -106,7 +106,7 @@ def test_reactive_power_is_an_axis_of_a_device_that_has_it(tmp_path):
     text = REGION.replace("dpmsg-v1", "gfl-v1").replace("tolerance = 5e-3", "tolerance = 3e-2\nmost = 14")
     region = "[sweep.operating_points]\nreactive_power_mvar = [-0.3, 0.3]"
     (tmp_path / "gfl.toml").write_text(text.replace("[sweep.operating_points]", region))
-    call("run", tmp_path / "gfl.toml", "-o", tmp_path / "y.parquet", "--jobs", 1)
+    command("run", tmp_path / "gfl.toml", "-o", tmp_path / "y.parquet", "--jobs", 1)
     surrogate = read_surrogate(tmp_path / "y.parquet")
     assert surrogate.region.varies.all()
     for response in read_table(tmp_path / "y.parquet").responses:
@@ -123,13 +123,13 @@ REFUSED = {
 
 @pytest.mark.parametrize(("options", "words"), REFUSED.values(), ids=REFUSED)
 def test_a_wrong_call_is_refused(folder, options, words):
-    done = call("surrogate", folder / "y.parquet", *options)
+    done = command("surrogate", folder / "y.parquet", *options)
     assert done.returncode == 2
     assert words in done.stderr
 
 
 def test_a_map_is_drawn(folder):
-    done = call("surrogate", folder / "y.parquet", "--grid", "0.012+0.25j", "--plot", folder / "map.svg")
+    done = command("surrogate", folder / "y.parquet", "--grid", "0.012+0.25j", "--plot", folder / "map.svg")
     assert done.returncode == 0, done.stderr
     assert "Magnitude margin m" in (folder / "map.svg").read_text()
 

@@ -16,17 +16,17 @@ from seqsweep.sweep.report.handover.inputs import read_inputs
 from seqsweep.sweep.report.handover.quantities import QUANTITIES
 from seqsweep.sweep.report.handover.words import sentence_of, sentences
 
-from ..support.commands import call, campaign
+from ..support.commands import campaign, command
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     file = campaign(folder, plant="branch-v1", powers=(0.0,), n=24)
-    assert call("run", file, "-o", folder / "y.parquet", "--jobs", 1).returncode == 0
+    assert command("run", file, "-o", folder / "y.parquet", "--jobs", 1).returncode == 0
     tuned = ("tune", folder / "y.parquet", "--grid", "0.02+0.3j", "--scale", "1.0,2.0", "-o", folder / "t.json")
-    assert call(*tuned).returncode == 0
-    done = call("report", folder / "y.parquet", folder / "t.json", "-o", folder / "r.html")
+    assert command(*tuned).returncode == 0
+    done = command("report", folder / "y.parquet", folder / "t.json", "-o", folder / "r.html")
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -138,9 +138,9 @@ def test_what_is_not_covered_is_said(page):
 
 def test_the_same_files_give_the_same_bytes_and_a_stamp_is_asked_for(folder):
     again = ("report", folder / "y.parquet", folder / "t.json", "-o", folder / "again.html")
-    assert call(*again).returncode == 0
+    assert command(*again).returncode == 0
     assert (folder / "again.html").read_bytes() == (folder / "r.html").read_bytes()
-    assert call(*again, "--stamp", "--force").returncode == 0
+    assert command(*again, "--stamp", "--force").returncode == 0
     assert "Made on" in (folder / "again.html").read_text("utf-8")
 
 
@@ -160,7 +160,7 @@ def test_files_that_make_no_report_are_refused(folder, names, words):
     (folder / "x.json").write_text('{"format": "other"}')
     (folder / "broken.json").write_text("{")
     (folder / "broken.parquet").write_bytes(b"PAR1 nothing PAR1")
-    done = call("report", *(folder / name for name in names), "-o", folder / "refused.html")
+    done = command("report", *(folder / name for name in names), "-o", folder / "refused.html")
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert not (folder / "refused.html").exists()
@@ -168,8 +168,8 @@ def test_files_that_make_no_report_are_refused(folder, names, words):
 
 def test_a_result_about_another_table_is_told(folder, tmp_path):
     file = campaign(tmp_path, plant="branch-v1", powers=(0.0,), n=12)
-    assert call("run", file, "-o", tmp_path / "other.parquet", "--jobs", 1).returncode == 0
-    done = call("report", tmp_path / "other.parquet", folder / "t.json", "-o", tmp_path / "r.html")
+    assert command("run", file, "-o", tmp_path / "other.parquet", "--jobs", 1).returncode == 0
+    done = command("report", tmp_path / "other.parquet", folder / "t.json", "-o", tmp_path / "r.html")
     assert done.returncode == 0
     assert "was made from another table" in (tmp_path / "r.html").read_text("utf-8")
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from ..support.commands import call, campaign
+from ..support.commands import campaign, command
 
 
 def test_the_module_is_the_command():
@@ -17,7 +17,7 @@ def test_the_module_is_the_command():
 
 
 def test_version_names_the_table_format_and_python():
-    done = call("--version")
+    done = command("--version")
     assert "table format 1." in done.stdout
     assert f"Python {sys.version_info.major}.{sys.version_info.minor}" in done.stdout
 
@@ -26,7 +26,7 @@ def test_version_names_the_table_format_and_python():
     ("typed", "meant"), [("sweep", "run"), ("plot", "show"), ("tuen", "tune"), ("diff", "compare")]
 )
 def test_an_unknown_command_is_told_what_is_meant(typed, meant):
-    done = call(typed, "x")
+    done = command(typed, "x")
     assert done.returncode == 2
     told = done.stderr.lower()
     assert told.count("did you mean") == 1
@@ -34,7 +34,7 @@ def test_an_unknown_command_is_told_what_is_meant(typed, meant):
 
 
 def test_a_table_under_another_suffix_is_refused_with_the_way_out(tmp_path):
-    done = call("run", campaign(tmp_path), "-o", tmp_path / "y.csv")
+    done = command("run", campaign(tmp_path), "-o", tmp_path / "y.csv")
     assert done.returncode == 2
     assert "seqsweep export" in done.stderr
 
@@ -42,10 +42,10 @@ def test_a_table_under_another_suffix_is_refused_with_the_way_out(tmp_path):
 def test_compare_ends_with_0_or_6(tmp_path):
     for name, ohm in (("a", "1.0"), ("b", "1.0"), ("c", "1.05")):
         file = campaign(tmp_path, plant="branch-v1", plant_lines=f"parameters = {{ r_ohm = {ohm} }}", powers=(0.0,))
-        assert call("run", file, "-o", tmp_path / f"{name}.parquet", "--jobs", 1).returncode == 0
-    same = call("compare", tmp_path / "a.parquet", tmp_path / "b.parquet")
+        assert command("run", file, "-o", tmp_path / f"{name}.parquet", "--jobs", 1).returncode == 0
+    same = command("compare", tmp_path / "a.parquet", tmp_path / "b.parquet")
     assert same.returncode == 0, same.stderr
     assert "agree within their uncertainty: yes" in same.stdout
-    other = call("compare", tmp_path / "a.parquet", tmp_path / "c.parquet")
+    other = command("compare", tmp_path / "a.parquet", tmp_path / "c.parquet")
     assert other.returncode == 6
     assert "agree within their uncertainty: no" in other.stdout

@@ -18,7 +18,7 @@ from seqsweep.tuning.grid_check import source_voltage_v
 from seqsweep.tuning.siso import SeriesRL
 
 from ..support import oracle, plants
-from ..support.commands import call
+from ..support.commands import command
 from ..support.sweeps import planned, rows_of
 
 F_HZ = [20.0, 70.0, 130.0, 300.0]
@@ -119,16 +119,16 @@ def test_what_a_file_does_not_say_may_be_stated(tmp_path):
     given = ("--frame", "pn", "--direction", "load", "--f1", 50, "--quantity", "admittance", "--unit", "S")
     given = (*given, "--rated-voltage-v", 400, "--rated-power-va", 1e4)
     output = tmp_path / "y.parquet"
-    done = call("import", text, "-o", output, *given, "--stable-on", "0.01+j0.1")
+    done = command("import", text, "-o", output, *given, "--stable-on", "0.01+j0.1")
     assert done.returncode == 0, done.stderr
     assert validate_table(output) == []
     expected = {"grid": {"r_ohm": 0.01, "x_ohm": 0.1}, "basis": "stated"}
     assert read_table(output).responses[0].meta["stable_on"] == expected
     again = tmp_path / "again.csv"
-    call("export", output, "-o", again)
-    call("import", again, "-o", tmp_path / "again.parquet")
+    command("export", output, "-o", again)
+    command("import", again, "-o", tmp_path / "again.parquet")
     assert read_table(tmp_path / "again.parquet").responses[0].meta["stable_on"] == expected  # it travels as text
-    refused = call("import", text, "-o", output, *given, "--force", "--stable-on", "strong")
+    refused = command("import", text, "-o", output, *given, "--force", "--stable-on", "strong")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "--stable-on 'strong'" in refused.stderr
 
@@ -137,8 +137,8 @@ def test_tune_takes_a_statement_for_a_table_without_one(tmp_path):
     plant = RLBranch()
     run(planned(plant, f_hz=list(np.geomspace(2, 900, 30))), plant, tmp_path / "y.parquet", jobs=1)
     arguments = ("tune", tmp_path / "y.parquet", "--grid", "0.01+0.1j", "-o", tmp_path / "t.json")
-    assert call(*arguments, "--stable-on", "ideal").returncode == 0
+    assert command(*arguments, "--stable-on", "ideal").returncode == 0
     assert json.loads((tmp_path / "t.json").read_text())["operating_points"][0]["verdict"] == "stable"
-    refused = call(*arguments, "--force", "--stable-on", "0.1-0.2j")
+    refused = command(*arguments, "--force", "--stable-on", "0.1-0.2j")
     assert refused.returncode == 2
     assert "Traceback" not in refused.stderr

@@ -15,7 +15,7 @@ from seqsweep.tuning.result import write_json
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
 
-from ..support.commands import call
+from ..support.commands import command
 
 MODULE = """
 import os, pathlib
@@ -64,19 +64,19 @@ def test_verifying_is_done_in_a_child_and_says_the_same(module):
         "active_power_mw = 0.6\ngrid = { r_ohm = 0.012, x_ohm = 0.25, scale = 1.4 }\n"
         "[sweep]\nf_min_hz = 2.0\nf_max_hz = 1000.0\npoints = 40\n"
     )
-    assert call("run", campaign, "-o", table).returncode == 0
+    assert command("run", campaign, "-o", table).returncode == 0
     write_json(tune(read_table(table), GRID), module / "tuning.json")
     content = json.loads((module / "tuning.json").read_text())
     content["provenance"]["table"]["configuration"] = foreign(content["provenance"]["table"]["configuration"])
     (module / "foreign.json").write_text(json.dumps(content))
     said = [
-        call("verify", module / f"{name}.json", "-o", module / f"{name}-out.json") for name in ("tuning", "foreign")
+        command("verify", module / f"{name}.json", "-o", module / f"{name}-out.json") for name in ("tuning", "foreign")
     ]
     assert [done.returncode for done in said] == [0, 0], said
     assert said[0].stdout == said[1].stdout.replace("python:foreign_turbine:Turbine", "dpmsg-v1")
     assert (module / "foreign-out.json").exists()
     assert (module / "importers").exists()
-    wrong = call("verify", module / "foreign.json", "--op", "nowhere")
+    wrong = command("verify", module / "foreign.json", "--op", "nowhere")
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("no operating point 'nowhere' in the tuning")
 
@@ -90,7 +90,7 @@ def test_the_grid_is_probed_in_a_child_and_found_the_same(module):
             "active_power_mw = 0.4\ngrid = { r_ohm = 0.012, x_ohm = 0.25 }\n[sweep]\nf_hz = [20.0]\n"
             '[source]\nkind = "thevenin"\n'
         )
-        done = call("grid", campaign)
+        done = command("grid", campaign)
         assert done.returncode == 0, done.stderr
         found.append(done.stdout)
     assert found[0] == found[1]

@@ -17,7 +17,7 @@ from seqsweep.sweep.bank.table import COLUMNS
 from seqsweep.sweep.run import shards
 from seqsweep.tuning.bank.entries import bank_of
 from tests.support import oracle
-from tests.support.commands import call
+from tests.support.commands import command
 
 F1_HZ = 50.0
 NU = np.geomspace(0.4, 1950.0, 80)
@@ -124,7 +124,7 @@ def test_the_command_writes_rows_as_documented_and_a_picture_and_tells_a_bad_gri
         (tmp_path / "grids" / file.name).write_text(file.read_text())
     (tmp_path / "grids" / "bad.csv").write_text("f,R\n1,2\n")
     output, picture = tmp_path / "judge.parquet", tmp_path / "map.png"
-    said = call("judge", table, "--grids", tmp_path / "grids", "-o", output, "--plot", picture, "--jobs", "1")
+    said = command("judge", table, "--grids", tmp_path / "grids", "-o", output, "--plot", picture, "--jobs", "1")
     assert said.returncode == 1, said.stderr
     assert "bad.csv" in said.stdout
     rows = pq.read_table(output)
@@ -141,6 +141,6 @@ def test_a_bank_that_is_none_ends_with_status_2(what: str, tmp_path: Path) -> No
     table = tmp_path / "y.parquet"
     write_table(table, responses(), metadata("p0.4", "p0.65"))
     (tmp_path / "empty").mkdir()
-    said = call("judge", table, "--grids", tmp_path / what)
+    said = command("judge", table, "--grids", tmp_path / what)
     assert said.returncode == 2
     assert "Traceback" not in said.stderr
