@@ -184,7 +184,7 @@ def test_commands_that_make_the_files_again_make_them_again(folder, tmp_path):
     tuned = next(line for line in lines.splitlines() if line.startswith("seqsweep tune"))
     shutil.copy(folder / "y.parquet", tmp_path)
     words = [str(tmp_path / w) if w.endswith((".parquet", ".json")) else w for w in shlex.split(tuned)[1:]]
-    assert call(*words).returncode == 0
+    assert command(*words).returncode == 0
     assert (tmp_path / "t.json").read_bytes() == (folder / "t.json").read_bytes()
 
 
