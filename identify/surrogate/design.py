@@ -2,8 +2,8 @@
 
 The first points are a Latin design at Chebyshev levels: along every axis each level is taken once, and the levels crowd
 towards the ends, where a polynomial goes astray first. From then on the next point is where the error bar is largest.
-A surrogate is certified when its largest bar is within the tolerance and the last `FRESH` sweeps, predicted before they
-were made, were met within it.
+A surrogate is certified when `WIDER` times its largest bar is within the tolerance and the last `FRESH` sweeps,
+predicted before they were made, were met within it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from .surrogate import Region, Surrogate
 
 FRESH = 2
 """Sweeps in a row that must meet their prediction."""
+
+WIDER = 2.0
+"""A bar holds at 95 of 100 places; the largest error of all places and frequencies is to stay below the certificate."""
 
 _CANDIDATES = 512
 _APART = 0.02  # a candidate closer to a swept point, in parts of the region, would tell nothing
@@ -42,9 +45,9 @@ class Progress:
     missed: tuple[float, ...]
 
     def is_certified(self, tolerance: float) -> bool:
-        """Whether the bar and the last `FRESH` sweeps agree with the tolerance."""
+        """Whether the bar, `WIDER` times, and the last `FRESH` sweeps agree with the tolerance."""
         fresh = self.missed[-FRESH:]
-        return self.largest_bar <= tolerance and len(fresh) == FRESH and max(fresh) <= tolerance
+        return WIDER * self.largest_bar <= tolerance and len(fresh) == FRESH and max(fresh) <= tolerance
 
 
 def first_count(n_axes: int) -> int:

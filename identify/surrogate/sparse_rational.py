@@ -36,6 +36,9 @@ RIVALS = 5
 GUARD = 0.25
 """|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
 
+DETERMINED = 1e-7
+"""Least eigenvalue of I - H_jj: below it, the other sweeps leave a direction of the coefficients open."""
+
 _PATIENCE = 6  # growth steps without gain until growing ends
 
 
@@ -167,13 +170,20 @@ def _solve(data: Data, phi: np.ndarray, psi: np.ndarray, g: np.ndarray) -> _Step
 
 
 def _judged(shape: Shape, step: _Step) -> Fitted:
-    """Leave-one-out errors (I - H_jj)^-1 r_j, with the (4, 4) block of the hat matrix of each sweep."""
+    """Leave-one-out errors (I - H_jj)^-1 r_j, with the (4, 4) block of the hat matrix of each sweep.
+
+    Where the other sweeps do not determine the coefficients the error is infinite: a device whose elements depend on
+    one another leaves fewer equations than are counted.
+    """
     own = np.sum(np.abs(step.q) ** 2, axis=2)  # (f, m)
     block = np.einsum("fajl,fbjl->fjab", step.q_coupling, step.q_coupling.conj())
     block = block + own[:, :, None, None] * np.eye(ELEMENTS)
     leverage = np.einsum("fjaa->fj", block).real / ELEMENTS
-    kept = np.eye(ELEMENTS) * (1.0 + 1e-9) - block
-    left_out = np.linalg.solve(kept, np.swapaxes(step.residual, 1, 2)[..., None])[..., 0]
+    kept = np.eye(ELEMENTS) - block
+    size, turn = np.linalg.eigh(kept)
+    seen = np.swapaxes(turn.conj(), 2, 3) @ np.swapaxes(step.residual, 1, 2)[..., None]
+    left_out = (turn @ (seen / np.maximum(size, DETERMINED)[..., None]))[..., 0]
+    left_out[size[..., 0] < DETERMINED] = np.inf
     return Fitted(shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing)
 
 
@@ -278,9 +288,9 @@ def _larger(shape: Shape) -> list[Shape]:
 
 
 def _has_freedom(data: Data, shape: Shape) -> bool:
-    """At least one sweep more than a numerator has coefficients, and one datum more than there are unknowns."""
+    """Whether the sweeps but one still determine the coefficients."""
     m = int(np.min(np.sum(data.weight > 0.0, axis=1)))
-    return len(shape.numerator) < m and shape.size < ELEMENTS * m
+    return len(shape.numerator) < m and shape.size <= ELEMENTS * (m - 1)
 
 
 def _best_of(data: Data, shapes: Sequence[Shape], tried: dict[Shape, float], region: np.ndarray) -> Shape | None:

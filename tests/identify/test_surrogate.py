@@ -116,7 +116,7 @@ def test_the_next_point_is_where_the_bar_is_largest_and_sweeping_it_helps():
     at, bar = next_point(surrogate, REGION)
     assert surrogate.evaluate(at).relative.max() > 0.3 * bar
     after = build_surrogate(swept(np.vstack([points, at])), region=REGION)
-    assert after.evaluate(at).relative.max() < 0.1 * surrogate.evaluate(at).relative.max()
+    assert after.evaluate(at).relative.max() < 0.3 * surrogate.evaluate(at).relative.max()
 
 
 def test_first_points_fill_their_levels_and_come_again_for_the_same_seed():
