@@ -12,20 +12,38 @@ from typing import Any, BinaryIO
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a new binary file that takes the place of ``path`` if, and only if, the block succeeds."""
+    """Open a new binary file that takes the place of ``path`` if, and only if, the block succeeds.
+
+    Raises
+    ------
+    OSError
+        If the machine refuses; it names ``path``, also where the system does not say which file was meant.
+    """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with open(temporary, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        with naming(path, temporary):
+            with open(temporary, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
     except BaseException:
         with suppress(OSError):
             temporary.unlink()
         raise
     _sync_folder(path.parent)
+
+
+@contextmanager
+def naming(path: Path, temporary: Path) -> Iterator[None]:
+    """Failures to write ``temporary`` name ``path``: a write that fails does not say by itself to which file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary)):
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), str(path)) from None
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:

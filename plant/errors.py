@@ -8,6 +8,7 @@ plain `ValueError` for shapes that do not fit: such a thing is a bug here, never
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable, Sequence
 
 MOST_CHARACTERS = 300
@@ -17,6 +18,10 @@ MOST_NAMES = 10
 """Names that a refusal lists; a table may hold a thousand operating points."""
 
 _OURS = __name__.partition(".")[0]
+
+
+NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
+"""What the system says where a disk is full: a failure of the machine, whatever was at work."""
 
 
 class SeqsweepError(ValueError):
@@ -47,6 +52,11 @@ def in_words(error: BaseException) -> str:
 def reason_of(error: BaseException) -> str:
     """What a plant raised, as the reason of its rows: in the same words here and in a child process."""
     return in_words(error)[:MOST_CHARACTERS]
+
+
+def is_without_room(error: BaseException) -> bool:
+    """Whether the disk was full."""
+    return isinstance(error, OSError) and error.errno in NO_ROOM
 
 
 def place_of(op_id: str, known: Sequence[str], where: str, error: type[SeqsweepError] = SeqsweepError) -> int:

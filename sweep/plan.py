@@ -163,11 +163,24 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Hosting:
-    """Where the plant lives: its name, whether in processes of its own, and the wall time (s) that a shot may take."""
+    """Where the plant lives, and what it may use.
+
+    Attributes
+    ----------
+    spec : PlantSpec
+        Its name and parameters.
+    isolate : bool
+        Whether it lives in processes of its own.
+    timeout_s : float or None
+        Wall time (s) that a shot may take.
+    memory_mb : float or None
+        Memory (MB) that one of its processes may use.
+    """
 
     spec: PlantSpec
     isolate: bool
-    timeout_s: float | None
+    timeout_s: float | None = None
+    memory_mb: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -390,6 +403,7 @@ class Plan:
             "kind": self.kind,
             "isolate": self.hosting.isolate,
             "timeout_s": self.hosting.timeout_s,
+            **({} if self.hosting.memory_mb is None else {"memory_mb": self.hosting.memory_mb}),
         }
 
 

@@ -46,7 +46,9 @@ def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
     peak = card.rating.peak_voltage_v if voltage_like else card.rating.peak_current_a
     source = _source(config.source, card.f1_hz)
     return Plan(
-        hosting=Hosting(spec, runs_isolated(spec.id, config.plant.isolate), config.plant.timeout_s),
+        hosting=Hosting(
+            spec, runs_isolated(spec.id, config.plant.isolate), config.plant.timeout_s, config.plant.memory_mb
+        ),
         plant_fingerprint=card.fingerprint,
         f1_hz=card.f1_hz,
         dt_s=card.dt_s,

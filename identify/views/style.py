@@ -6,6 +6,7 @@ matplotlib is imported when a figure is made.
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,8 +65,11 @@ def write_figure(path: str | Path, make: Callable[[], Figure]) -> None:
     suffix = checked_suffix(path)
     import matplotlib
 
-    with matplotlib.rc_context(_RC), atomic_file(path) as file:
-        make().savefig(file, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+    drawn = BytesIO()  # a writer of PDF that meets a full disk half-way hides it behind errors of its own
+    with matplotlib.rc_context(_RC):
+        make().savefig(drawn, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+    with atomic_file(path) as file:
+        file.write(drawn.getbuffer())
 
 
 def styled(make: Callable[[], str]) -> str:

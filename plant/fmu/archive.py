@@ -14,7 +14,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from ..errors import SeqsweepError
+from ..errors import SeqsweepError, is_without_room
 
 MOST_MEMBERS = 20_000
 MOST_BYTES = 2 << 30
@@ -74,12 +74,16 @@ def unpack(path: Path, folder: Path) -> None:
     ------
     ArchiveError
         As `look_through`, or if a member is damaged.
+    OSError
+        If the disk is full.
     """
     look_through(path)
     try:
         with zipfile.ZipFile(path) as archive:
             archive.extractall(folder)
     except (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError, RuntimeError) as error:
+        if is_without_room(error):
+            raise
         raise ArchiveError(f"{path}: cannot be unpacked: {error}") from None
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from contextlib import suppress
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_CHILD_SUBREAPER = 36
+_PR_GET_CHILD_SUBREAPER = 37
 
 
 def die_with_parent(parent: int) -> None:
@@ -22,7 +26,50 @@ def die_with_parent(parent: int) -> None:
 
 def adopt_orphans() -> None:
     """Ask Linux to make this process the parent of descendants whose own parent ends."""
-    _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    _subreaper(True)
+
+
+@contextmanager
+def adopting_orphans() -> Iterator[None]:
+    """While in the block, this process is the parent of descendants whose own parent ends (Linux)."""
+    before = _is_subreaper()
+    _subreaper(True)
+    try:
+        yield
+    finally:
+        _subreaper(before)
+
+
+def bury(group: int, patience_s: float = 0.5) -> None:
+    """Take note of the end of a killed process group's members, so that none stays as a zombie.
+
+    Where the system's first process buries nobody, as in many containers, nobody else would.
+    """
+    end = time.monotonic() + patience_s
+    with suppress(ProcessLookupError, PermissionError):
+        while time.monotonic() < end:
+            os.killpg(group, 0)  # somebody of the group is there, if only as a zombie
+            with suppress(ChildProcessError):  # not ours yet: its parent is just ending
+                os.waitpid(-group, os.WNOHANG)
+            time.sleep(0.001)
+
+
+def most_memory_mb(group: int) -> float:
+    """Resident memory (MB) of that process of a group which has most of it; 0 where the system does not tell."""
+    return max((_resident_mb(process) for process in _members(group)), default=0.0)
+
+
+def _members(group: int) -> Iterator[Path]:
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.getpgid(int(process.name)) == group:
+                yield process
+
+
+def _resident_mb(process: Path) -> float:
+    with suppress(OSError):
+        return int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return 0.0
 
 
 def how_it_ended(code: int, said: Path | None = None) -> str:
@@ -41,7 +88,22 @@ def last_words(path: Path) -> str:
     return ""
 
 
-def _prctl(option: int, value: int) -> None:
+def _subreaper(wished: bool) -> None:
+    if sys.platform == "linux":
+        _prctl(_PR_SET_CHILD_SUBREAPER, int(wished))
+
+
+def _is_subreaper() -> bool:
+    if sys.platform != "linux":
+        return False
+    import ctypes
+
+    answer = ctypes.c_int(0)
+    _prctl(_PR_GET_CHILD_SUBREAPER, ctypes.byref(answer))
+    return bool(answer.value)
+
+
+def _prctl(option: int, value: Any) -> None:
     import ctypes
 
     ctypes.CDLL(None).prctl(option, value)

@@ -134,7 +134,7 @@ def _status() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
-        kept = _resumes() and error.errno in _FULL
+        kept = error.errno in _FULL and _began(arguments)
         typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
         return MACHINE
     except MemoryError:
@@ -179,6 +179,14 @@ def _meant(arguments: Sequence[str]) -> str | None:
 def _interrupted() -> int:
     typer.echo(f"interrupted{'; ' + GO_ON if _resumes() else ''}", err=True)
     return INTERRUPTED
+
+
+def _began(arguments: Sequence[str]) -> bool:
+    """Whether the command left work beside its output that it would go on with."""
+    from ..run.shards import folder_of
+
+    output = faults.output_of(arguments)
+    return _resumes() and output is not None and folder_of(output).is_dir()
 
 
 def _resumes() -> bool:

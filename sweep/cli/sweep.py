@@ -42,6 +42,8 @@ def init(
     """Write a commented campaign for the reference turbine, or one around a real-code controller."""
     from importlib.resources import files
 
+    from ...identify.files import atomic_file
+
     if output.exists():
         raise WrongInput(f"{output} exists; choose another name with -o")
     check_folder(output)
@@ -49,7 +51,8 @@ def init(
         text = files("seqsweep.sweep.config").joinpath("template.toml").read_text("utf-8")
     else:
         text = _drafted(plant)
-    output.write_text(text, "utf-8")
+    with atomic_file(output) as file:
+        file.write(text.encode())
     typer.echo(f"{output} written; next: seqsweep run {output} -o y.parquet")
 
 

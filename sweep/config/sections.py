@@ -45,6 +45,7 @@ class PlantSection(_Section):
     parameters: dict[str, Any] = Field(default={}, description="a table [plant.parameters]")
     isolate: bool | None = Field(default=None, description="true or false")
     timeout_s: Positive | None = Field(default=None, description="a number above 0, in s")
+    memory_mb: Positive | None = Field(default=None, description="a number above 0, in MB")
 
 
 class GridSection(_Section):

@@ -20,10 +20,10 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from ...plant.errors import reason_of
+from ...plant.errors import is_without_room, reason_of
 from ...plant.protocol import Plant
 from ...plant.registry import PlantCard, PlantError, PlantSpec, card_of
-from ...plant.states.processes import die_with_parent, how_it_ended
+from ...plant.states.processes import adopting_orphans, bury, die_with_parent, how_it_ended, most_memory_mb
 
 T = TypeVar("T")
 
@@ -31,8 +31,13 @@ START_S = 60.0
 """Wall time (s) that a child may take to import and build its plant, once."""
 
 SAID_BYTES = 1 << 20
-"""What a plant prints is kept for its last words, and forgotten between two questions above this size."""
+"""What a plant prints is kept for its last words, and forgotten above this size."""
 
+DEFAULT_MEMORY_MB = 4096.0
+"""Memory (MB) that a process of a plant may use, where the campaign does not say."""
+
+LOOK_S = 0.2
+"""Wall time (s) after which a child that has not answered is looked after."""
 
 _SCRATCH = "seqsweep-run-"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -44,9 +49,14 @@ class ChildFailed(Exception):
 
 
 class _Trouble(NamedTuple):
-    """What a child says where it has no answer."""
+    """What a child says where it has no answer; ``errno`` where the machine failed it."""
 
     words: str
+    errno: int | None = None
+
+    def error(self, of_the_plant: type[Exception]) -> Exception:
+        """What is to be raised: a failure of the machine, or one of the plant."""
+        return of_the_plant(self.words) if self.errno is None else OSError(self.errno, self.words)
 
 
 class Child:
@@ -58,6 +68,8 @@ class Child:
         The plant.
     folder : path
         Where the child and its plant may leave temporary files.
+    memory_mb : float
+        Memory (MB) that a process of it may use.
 
     Raises
     ------
@@ -65,11 +77,14 @@ class Child:
         If the process ends or hangs while it builds the plant.
     PlantError
         If there is no such plant, or it cannot be made from these parameters.
+    OSError
+        If the machine does not let it be made.
     """
 
     card: PlantCard
 
-    def __init__(self, spec: PlantSpec, folder: Path):
+    def __init__(self, spec: PlantSpec, folder: Path, memory_mb: float = DEFAULT_MEMORY_MB):
+        self._memory_mb = memory_mb
         self._pipe, theirs = Pipe()
         descriptor, name = tempfile.mkstemp(prefix="said-", dir=folder)
         os.close(descriptor)
@@ -88,7 +103,7 @@ class Child:
         try:
             answer = self._exchange(spec, START_S, f"building the plant took longer than {START_S:g} s of wall time")
             if isinstance(answer, _Trouble):
-                raise PlantError(answer.words)
+                raise answer.error(PlantError)
         except BaseException:
             self.kill()
             raise
@@ -102,10 +117,12 @@ class Child:
         ------
         ChildFailed
             If there is no answer. The child is of no further use then, but for its last words.
+        OSError
+            If the disk is full.
         """
         answer = self._exchange(question, timeout_s, late)
         if isinstance(answer, _Trouble):
-            raise ChildFailed(answer.words)
+            raise answer.error(ChildFailed)
         return answer  # type: ignore[return-value]
 
     def kill(self) -> None:
@@ -113,19 +130,34 @@ class Child:
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
+        bury(self._process.pid)
         self._pipe.close()
         self._said.unlink(missing_ok=True)
 
     def _exchange(self, question: object, timeout_s: float, late: str) -> object:
         try:
             self._pipe.send(question)
-            if not self._pipe.poll(timeout_s):
-                raise ChildFailed(late)
+            self._wait(timeout_s, late)
+            _forget_what_was_said(self._said)
             return self._pipe.recv()
         except (EOFError, ConnectionError):
             raise ChildFailed(f"the plant's process died: {self._death()}") from None
         except (pickle.PickleError, AttributeError, ImportError, IndexError, TypeError, ValueError) as error:
             raise ChildFailed(f"the plant's process sent rubbish: {type(error).__name__}: {error}") from None
+
+    def _wait(self, timeout_s: float, late: str) -> None:
+        """Wait for an answer, and look after the child until it comes."""
+        end = time.monotonic() + timeout_s
+        while not self._pipe.poll(max(0.0, min(LOOK_S, end - time.monotonic()))):
+            if time.monotonic() >= end:
+                raise ChildFailed(late)
+            _forget_what_was_said(self._said)
+            used_mb = most_memory_mb(self._process.pid)
+            if used_mb > self._memory_mb:
+                raise ChildFailed(
+                    f"a process of the plant used {used_mb:.0f} MB of memory; plant.memory_mb allows "
+                    f"{self._memory_mb:g} MB"
+                )
 
     def _death(self) -> str:
         try:
@@ -136,14 +168,20 @@ class Child:
 
 
 @contextmanager
-def child(spec: PlantSpec) -> Iterator[Child]:
+def child(spec: PlantSpec, memory_mb: float = DEFAULT_MEMORY_MB) -> Iterator[Child]:
     """A child for a moment, with a folder of its own."""
     with scratch() as folder:
-        one = Child(spec, folder)
+        one = Child(spec, folder, memory_mb)
         try:
             yield one
         finally:
             one.kill()
+
+
+def _forget_what_was_said(said: Path) -> None:
+    """Before it fills the disk; whoever prints goes on behind what was forgotten."""
+    if said.stat().st_size > SAID_BYTES:
+        os.truncate(said, 0)
 
 
 @contextmanager
@@ -153,6 +191,7 @@ def scratch() -> Iterator[Path]:
     with (
         tempfile.TemporaryDirectory(prefix=_SCRATCH, ignore_cleanup_errors=True) as name,
         (Path(name) / "lock").open("w") as lock,
+        adopting_orphans(),
     ):
         _locked(lock.fileno())
         yield Path(name)
@@ -194,7 +233,7 @@ def _serve(pipe: Connection) -> None:
         plant = spec.make()
         pipe.send(card_of(plant, spec))
     except Exception as error:
-        pipe.send(_Trouble(reason_of(error)))
+        pipe.send(_trouble(error))
         return
     while True:
         try:
@@ -202,19 +241,19 @@ def _serve(pipe: Connection) -> None:
         except EOFError:
             return
         pipe.send(_answer(plant, question))
-        _forget_what_was_said()
 
 
 def _answer(plant: Plant, question: Callable[[Plant], object]) -> object:
     try:
         return question(plant)
     except Exception as error:
-        return _Trouble(reason_of(error))
+        return _trouble(error)
 
 
-def _forget_what_was_said() -> None:
-    if os.fstat(1).st_size > SAID_BYTES:
-        os.ftruncate(1, 0)
+def _trouble(error: Exception) -> _Trouble:
+    if isinstance(error, OSError) and is_without_room(error):
+        return _Trouble(f"{error.strerror}: {error.filename or 'while the plant was at work'}", error.errno)
+    return _Trouble(reason_of(error))
 
 
 def _offer_to_the_memory_killer() -> None:

@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 from ...plant.protocol import Plant
 from ...plant.registry import PlantCard, PlantError, PlantSpec, make_plant, refuse_unknown_id, runs_isolated
@@ -22,7 +22,7 @@ from ..config.sections import Config
 from ..measure.measure import measure
 from ..measure.rows import BatchResult, failed_batch
 from ..plan import Batch, Hosting
-from .child import Child, ChildFailed, child, scratch
+from .child import DEFAULT_MEMORY_MB, Child, ChildFailed, child, scratch
 
 T = TypeVar("T")
 
@@ -31,6 +31,13 @@ Measure = Callable[[Batch], BatchResult]
 
 DEFAULT_TIMEOUT_S = 60.0
 """Wall time (s) that one shot may take, where the campaign does not say."""
+
+
+class Limits(NamedTuple):
+    """Wall time (s) that one shot may take, and memory (MB) that a process of the plant may use."""
+
+    timeout_s: float
+    memory_mb: float
 
 
 class Host(Protocol):
@@ -71,24 +78,32 @@ class ChildHost:
 
     spec: PlantSpec
     timeout_s: float | None = None
+    memory_mb: float | None = None
 
     def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
-        with child(self.spec) as asked:
+        with child(self.spec, self._memory_mb) as asked:
             return asked.ask(question, timeout_s, late)
 
     @contextmanager
     def measuring(self, n_workers: int) -> Iterator[Measure]:
         with scratch() as folder:
-            lent = Children(self.spec, self.timeout_s or DEFAULT_TIMEOUT_S, n_workers, folder)
+            limits = Limits(self.timeout_s or DEFAULT_TIMEOUT_S, self._memory_mb)
+            lent = Children(self.spec, limits, n_workers, folder)
             try:
                 yield lent.measure
             finally:
                 lent.close()
 
+    @property
+    def _memory_mb(self) -> float:
+        return self.memory_mb or DEFAULT_MEMORY_MB
+
 
 def host_of(hosting: Hosting) -> Host:
     """The host of a plan's plant, which is made anew where it is to live here."""
-    return ChildHost(hosting.spec, hosting.timeout_s) if hosting.isolate else LocalHost(hosting.spec.make())
+    if hosting.isolate:
+        return ChildHost(hosting.spec, hosting.timeout_s, hosting.memory_mb)
+    return LocalHost(hosting.spec.make())
 
 
 def host_at_hand(plant: Plant | PlantCard, hosting: Hosting) -> Host:
@@ -105,7 +120,7 @@ def host_named(spec: PlantSpec, isolate: bool | None = None) -> Host:
         If there is no such plant, it cannot be made, or a black box is wished into this process.
     """
     refuse_unknown_id(spec.id)
-    return host_of(Hosting(spec, runs_isolated(spec.id, isolate), None))
+    return host_of(Hosting(spec, runs_isolated(spec.id, isolate)))
 
 
 def plant_or_card(config: Config) -> Plant | PlantCard:
@@ -134,16 +149,16 @@ class Children:
     ----------
     spec : PlantSpec
         The plant.
-    timeout_s : float
-        Wall time (s) that one shot may take.
+    limits : Limits
+        Of one shot.
     n_children : int
         How many at once; they are started when first needed.
     folder : path
         For their temporary files.
     """
 
-    def __init__(self, spec: PlantSpec, timeout_s: float, n_children: int, folder: Path):
-        self._spec, self._timeout_s, self._folder = spec, timeout_s, folder
+    def __init__(self, spec: PlantSpec, limits: Limits, n_children: int, folder: Path):
+        self._spec, self._limits, self._folder = spec, limits, folder
         self._idle: queue.SimpleQueue[Child | None] = queue.SimpleQueue()
         for _ in range(n_children):
             self._idle.put(None)
@@ -171,10 +186,10 @@ class Children:
 
     def _ask(self, batch: Batch) -> BatchResult:
         lent = self._idle.get()
-        timeout_s = self._timeout_s * batch.n_shots
+        timeout_s = self._limits.timeout_s * batch.n_shots
         late = f"{batch.n_shots} shots took longer than {timeout_s:g} s of wall time, plant.timeout_s for each"
         try:
-            lent = lent or Child(self._spec, self._folder)
+            lent = lent or Child(self._spec, self._folder, self._limits.memory_mb)
             return lent.ask(partial(_measured, batch), timeout_s, late)
         except ChildFailed:
             if lent is not None:

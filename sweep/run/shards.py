@@ -17,6 +17,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
+from ...identify.files import naming
 from ..measure.rows import BatchResult, Row
 from ..plan import Batch
 
@@ -111,9 +112,10 @@ def keep(folder: Path, key: str, text: str) -> None:
     """Keep one line of ``text`` as the shard ``key``."""
     temporary = folder / f"{key}.{os.getpid()}.tmp"
     try:
-        with open(temporary, "w", encoding="utf-8") as file:
-            file.write(f"{_checksum(key, text)}\n{text}\n")
-        os.replace(temporary, folder / key)
+        with naming(folder / key, temporary):
+            with open(temporary, "w", encoding="utf-8") as file:
+                file.write(f"{_checksum(key, text)}\n{text}\n")
+            os.replace(temporary, folder / key)
     except OSError:
         with suppress(OSError):
             temporary.unlink()
