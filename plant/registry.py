@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from .errors import SeqsweepError, in_words, nearest
+from .errors import SeqsweepError, in_words, is_without_room, nearest
 from .protocol import OperatingRange, PhasorPlant, Plant, Rating
 
 ENTRY_POINT_GROUP = "seqsweep.plants"
@@ -184,6 +184,8 @@ def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Pl
     ------
     PlantError
         If there is no such plant, a parameter is unknown or refused, or what comes out is no plant.
+    OSError
+        If the disk is full.
     """
     factory = _find(plant_id)
     arguments = dict(parameters or {})
@@ -191,6 +193,8 @@ def make_plant(plant_id: str, parameters: Mapping[str, Any] | None = None) -> Pl
     try:
         plant = factory(**arguments)
     except Exception as error:
+        if is_without_room(error):
+            raise
         raise PlantError(_refusal(plant_id, arguments, error)) from error
     missing = [name for name in _PROMISES if not hasattr(plant, name)]
     if missing:

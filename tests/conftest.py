@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 from pathlib import Path
 
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two workers, two cores
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # begun by a shell's "&": commands would not hear Ctrl-C either
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PAGE = Path(__file__).parent.parent / "docs" / "evidence.md"
 HEAD = """# Evidence

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Annotated, Any
@@ -115,6 +116,7 @@ def _status() -> int:
     arguments, debug = faults.command_line()
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # matrices are small here: more threads only get in each other's way
+    warnings.filterwarnings("ignore", message=".*still being processed by the workers", category=UserWarning)  # joblib
     with suppress(ValueError):  # only the main thread can be told
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout`, Slurm, docker stop: as Ctrl-C
     try:
@@ -135,7 +137,7 @@ def _status() -> int:
         return OK
     except OSError as error:
         kept = error.errno in _FULL and _began(arguments)
-        typer.echo(f"{error}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
+        typer.echo(f"{_in_words(error)}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
         return MACHINE
     except MemoryError:
         typer.echo("the memory of this machine does not suffice", err=True)
@@ -174,6 +176,14 @@ def _meant(arguments: Sequence[str]) -> str | None:
     if word in _COMMANDS:
         return None
     return _SYNONYMS.get(word.lower())
+
+
+def _in_words(error: OSError) -> str:
+    """What the machine refused, and which file it was about."""
+    if error.strerror is None or error.filename is None:
+        return str(error)
+    where = error.filename2 or error.filename
+    return f"{where}: {error.strerror[:1].lower()}{error.strerror[1:]}"
 
 
 def _interrupted() -> int:

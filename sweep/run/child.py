@@ -45,7 +45,17 @@ _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM
 
 
 class ChildFailed(Exception):
-    """A child died, overran its time or could not answer; the message is the reason of the rows."""
+    """A child died, overran its time or could not answer; the message is the reason of the rows.
+
+    Attributes
+    ----------
+    killed : bool
+        Whether somebody else killed it (SIGKILL): no plant does that to itself, a machine without memory does.
+    """
+
+    def __init__(self, reason: str, killed: bool = False):
+        super().__init__(reason)
+        self.killed = killed
 
 
 class _Trouble(NamedTuple):
@@ -141,7 +151,10 @@ class Child:
             _forget_what_was_said(self._said)
             return self._pipe.recv()
         except (EOFError, ConnectionError):
-            raise ChildFailed(f"the plant's process died: {self._death()}") from None
+            death = self._death()
+            raise ChildFailed(
+                f"the plant's process died: {death}", self._process.returncode == -signal.SIGKILL
+            ) from None
         except (pickle.PickleError, AttributeError, ImportError, IndexError, TypeError, ValueError) as error:
             raise ChildFailed(f"the plant's process sent rubbish: {type(error).__name__}: {error}") from None
 

@@ -166,7 +166,7 @@ class Children:
     def measure(self, batch: Batch) -> BatchResult:
         """`measure` in a child; rows whose plant crashed or hung are "failed" with the reason."""
         try:
-            return self._ask(batch)
+            return self._ask_again_if_killed(batch)
         except (ChildFailed, PlantError) as failure:
             if len(batch.points) == 1 or batch.plays:  # one signal serves all points
                 return failed_batch(batch, "failed", str(failure))
@@ -183,6 +183,15 @@ class Children:
                 return
             if idle is not None:
                 idle.kill()
+
+    def _ask_again_if_killed(self, batch: Batch) -> BatchResult:
+        """Ask, and once more where the child was killed from outside: that says nothing about its plant."""
+        try:
+            return self._ask(batch)
+        except ChildFailed as failure:
+            if not failure.killed:
+                raise
+        return self._ask(batch)
 
     def _ask(self, batch: Batch) -> BatchResult:
         lent = self._idle.get()

@@ -116,9 +116,11 @@ def keep(folder: Path, key: str, text: str) -> None:
             with open(temporary, "w", encoding="utf-8") as file:
                 file.write(f"{_checksum(key, text)}\n{text}\n")
             os.replace(temporary, folder / key)
-    except OSError:
+    except OSError as error:
         with suppress(OSError):
             temporary.unlink()
+        if not folder.is_dir():
+            raise OSError(f"{folder} was moved or removed while the run was at work; run the command again") from error
         raise
 
 

@@ -1,6 +1,7 @@
 """kill -9 at any moment, then the same command again: the bytes of an undisturbed run.
 
-``python -m pytest -m evidence -s tests/sweep/test_kill.py`` kills at sixty random moments.
+``python -m pytest -m evidence -s tests/sweep/test_kill.py`` kills at hundreds of random moments, of whom it may be;
+``SEQSWEEP_KILLS=10`` in front makes it so many of each kind.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import os
 import random
 import signal
 import time
+from contextlib import suppress
 
 import pytest
 
@@ -83,6 +85,57 @@ def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
     setting = ["--set", "plant.isolate=false", "--jobs", 2]
     assert killed(path, table, lambda: len(shards_of(table)) >= 3, *setting)
     assert finished(path, table, *setting) == finished(path, fresh, *setting)
+
+
+N_KILLS = int(os.environ.get("SEQSWEEP_KILLS", "100"))
+"""Kills of each kind in `make evidence`."""
+
+
+def struck(path, table, at_s, dice, *options):
+    """Start the command and kill -9 one of its processes, whichever it be, after ``at_s``; what was hit, if anybody.
+
+    The command is waited for: where its runner was spared, it may have finished.
+    """
+    process = start("run", path, "-o", table, *options)
+    hit = None
+    try:
+        end = time.monotonic() + at_s
+        wait_for(lambda: time.monotonic() >= end or process.poll() is not None)
+        if process.poll() is None and (members := group_members(process.pid)):
+            victim = dice.choice(members)
+            hit = "runner" if victim == process.pid else "other"
+            with suppress(ProcessLookupError):
+                os.kill(victim, signal.SIGKILL)
+        _, said = process.communicate(timeout=120)
+    finally:
+        end_group(process)
+    assert process.returncode in (0, 3, 4, -signal.SIGKILL), said
+    assert "Traceback" not in said
+    return hit
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("isolated", [False, True], ids=["here", "isolated"])
+@pytest.mark.parametrize("backend", ["threading", "loky", "dask"])
+def test_whoever_is_killed_the_table_is_the_same(tmp_path, backend, isolated):
+    """Runner, worker, box or what these have started: one of them, at a moment drawn over the whole run."""
+    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 5)], n=40)
+    setting = ["--jobs", 2, "--backend", backend, "--set", f"plant.isolate={str(isolated).lower()}"]
+    begin = time.monotonic()
+    undisturbed = finished(path, tmp_path / "fresh.parquet", *setting)
+    whole_s = time.monotonic() - begin
+    seed = random.SystemRandom().randrange(1 << 32)
+    dice, hits, runs = random.Random(seed), {"runner": 0, "other": 0}, 0
+    while sum(hits.values()) < N_KILLS:
+        table = tmp_path / f"{runs}.parquet"
+        runs += 1
+        if hit := struck(path, table, dice.uniform(0.0, whole_s), dice, *setting):
+            hits[hit] += 1
+        if not table.exists():
+            finished(path, table, *setting)
+        assert table.read_bytes() == undisturbed
+        table.unlink()
+    print(f"\n  {backend}, {'isolated' if isolated else 'here'}: seed {seed}, kills {hits}, {runs} campaigns", end="")
 
 
 @pytest.mark.evidence

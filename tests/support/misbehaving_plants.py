@@ -1,0 +1,30 @@
+"""Plants with bad manners; campaigns call them ``python:misbehaving_plants:NAME``."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from plants import SlowBranch
+
+_hoard: list[bytearray] = []
+
+
+class Leaking(SlowBranch):
+    """Keeps ten megabytes of every hundredth of a second that it is at work."""
+
+    def run_phasors(self, *arguments, **options):
+        while True:
+            _hoard.append(bytearray(os.urandom(1 << 20) * 10))
+            time.sleep(0.01)
+
+
+class Forking(SlowBranch):
+    """Starts processes that start processes, and waits for none of them."""
+
+    def run_phasors(self, *arguments, **options):
+        for _ in range(3):
+            if os.fork() == 0:
+                os.fork()
+                time.sleep(600)
+        time.sleep(600)
