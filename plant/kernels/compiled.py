@@ -38,7 +38,7 @@ _WITHOUT_MEANING = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS")
 """Settings of numba that do not change the code."""
 
 _STACK = " alignstack(64)"
-_ARRAY_HEAD, _VALUES = "pp", {"f": "double", "i": "i64", "p": "ptr"}
+_ARRAY_HEAD, _VALUES = "pp", {"f": "double", "i": "i64", "p": "ptr", "b": "i8"}
 
 _lock = threading.RLock()
 _engines: list[Any] = []
@@ -101,6 +101,10 @@ class Kernel:
 # ---------------------------------------------------------------------- arguments
 
 
+_KINDS = {type(None): "n", bool: "b", int: "i", complex: "c", np.complex128: "c"}
+_LETTERS = {"n": "p", "c": "ff"}
+
+
 def _kind(argument: Any) -> str:
     """What numba makes of an argument, as far as it can be handed over without it; "?" where it cannot."""
     if isinstance(argument, np.ndarray):
@@ -108,18 +112,17 @@ def _kind(argument: Any) -> str:
         return f"{argument.dtype.str}[{argument.ndim}]{'' if argument.flags.writeable else 'r'}" if plain else "?"
     if isinstance(argument, tuple):
         return f"{type(argument).__name__}({','.join(map(_kind, argument))})"
-    if isinstance(argument, float | complex):
-        return "f" if isinstance(argument, float) else "c"
-    return "i" if type(argument) is int else "?"
+    return "f" if isinstance(argument, float) else _KINDS.get(type(argument), "?")
 
 
 def _letters(argument: Any) -> str:
-    """The values that a kernel takes for an argument: pointers (p), integers (i), floats (f)."""
+    """The values that a kernel takes for an argument: pointers (p), integers (i), floats (f), truths (b)."""
     if isinstance(argument, np.ndarray):  # owner, its parent, size, item size, data, shape, strides
         return _ARRAY_HEAD + "iip" + 2 * argument.ndim * "i"
     if isinstance(argument, tuple):
         return "".join(map(_letters, argument))
-    return _kind(argument).replace("c", "ff")
+    kind = _kind(argument)
+    return _LETTERS.get(kind, kind)
 
 
 def _values(argument: Any) -> list[Any]:
@@ -131,7 +134,7 @@ def _values(argument: Any) -> list[Any]:
     return [argument.real, argument.imag] if isinstance(argument, complex) else [argument]
 
 
-_CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_double}
+_CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_double, "b": ctypes.c_uint8}
 
 
 # ---------------------------------------------------------------------- code

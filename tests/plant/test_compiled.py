@@ -25,13 +25,15 @@ def _weighted(x, p):
     return p[0] * x + p[1]
 
 @njit(nogil=True, cache=True)
-def fill(out, p, c, n):
+def fill(out, p, c, n, more, switched):
     for k in range(n):
         out[k] = _weighted(out[k], p) + c.real - c.imag * k
+        if more is not None or not switched:
+            out[k] = 0.0
 
 if __name__ == "__main__":
     out = np.arange(6.0)
-    fill(out, (2.0, 0.5), 1.0 + 0.25j, 5)
+    fill(out, (2.0, 0.5), 1.0 + 0.25j, 5, None, True)
     print(json.dumps([out.tolist(), "numba" in sys.modules]))
 """
 WANTED = [*(2.0 * k + 0.5 + 1.0 - 0.25 * k for k in range(5)), 5.0]
@@ -121,7 +123,7 @@ def test_arguments_numba_takes_and_we_do_not_are_its_own():
         return x + x
 
     assert doubled(np.float32(1.5)) == 3.0
-    assert doubled(True) == 2
+    assert doubled(np.int32(1)) == 2
     assert doubled(np.arange(6)[::2]).tolist() == [0, 4, 8]
 
 
