@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .identify.surrogate.store import read_surrogate
     from .identify.surrogate.surrogate import Surrogate, build_surrogate
     from .identify.table.read import Table, read_table
-    from .looking_further import farm, judge, metrics, surrogate
+    from .looking_further import farm, farm_advice, judge, metrics, surrogate
     from .making import check_plant, make_plant
     from .plant.boxes.step_function import plant_from_lanes, plant_from_step
     from .plant.errors import SeqsweepError
@@ -46,6 +46,7 @@ _HOME = {
     "metrics": "looking_further",
     "judge": "looking_further",
     "farm": "looking_further",
+    "farm_advice": "looking_further",
     "surrogate": "looking_further",
     "read_table": "identify.table.read",
     "write_table": "tables",
@@ -77,6 +78,7 @@ __all__ = [  # noqa: RUF022 (in the order of the work)
     "metrics",
     "judge",
     "farm",
+    "farm_advice",
     "surrogate",
     "read_table",
     "write_table",

@@ -12,11 +12,14 @@ from .identify.surrogate.surrogate import Surrogate, build_surrogate
 from .identify.table.read import Table, read_table
 from .plant.errors import SeqsweepError
 from .sweep.bank.judge import judge_bank
+from .sweep.farm_sweeps import gain_advice, power_advice
 from .tables import as_table
 from .tuning.bank.entries import bank_of
 from .tuning.bank.judgement import PairVerdict
 from .tuning.farm.document import farm_of
 from .tuning.farm.farm import Farm, judged
+from .tuning.farm.restore import DAMPED_BAND, Advice, Demand
+from .tuning.farm.units import Library
 from .tuning.grids.open import open_grid
 from .tuning.metrics import Metrics
 from .tuning.metrics import metrics as metrics_of
@@ -89,6 +92,50 @@ def farm(document: str | Path, out: Sequence[str] = ()) -> Farm:
     SeqsweepError
         If the file is no farm, or a table of it cannot be read.
     """
+    return _farm_and_library(document, out)[1]
+
+
+def farm_advice(
+    document: str | Path,
+    by: str,
+    *,
+    damping: float | None = None,
+    probability: float = 0.95,
+    out: Sequence[str] = (),
+    jobs: int | None = None,
+) -> Advice:
+    """What gains or powers do to a farm's modes, and the smallest changes that give every mode a damping.
+
+    Parameters
+    ----------
+    document : path
+        The farm as a TOML file.
+    by : "gain" or "power"
+        Damping gains, each confirmed by a sweep, or powers given up, predicted by the tables' surrogates.
+    damping : float, optional
+        Damping ratio that every mode near f1 shall have; without it the slopes alone are found.
+    probability : float
+        With which probability, for the errors of the tables.
+    out : sequence of str
+        Devices or equipment that are out of service.
+    jobs : int, optional
+        Threads that sweep.
+
+    Raises
+    ------
+    SeqsweepError
+        If a device cannot be swept again, or has no table over several powers.
+    """
+    library, found = _farm_and_library(document, out)
+    demand = None if damping is None else Demand(damping, probability, DAMPED_BAND * found.entry.f1_hz)
+    if by == "power":
+        return power_advice(library, found, demand)
+    if by != "gain":
+        raise SeqsweepError(f"by = {by!r}; known are 'gain' and 'power'")
+    return gain_advice(library, found, demand, jobs or os.cpu_count() or 1)
+
+
+def _farm_and_library(document: str | Path, out: Sequence[str]) -> tuple[Library, Farm]:
     path = Path(document)
     try:
         content = tomllib.loads(path.read_text("utf-8"))
@@ -96,7 +143,8 @@ def farm(document: str | Path, out: Sequence[str] = ()) -> Farm:
         raise SeqsweepError(f"{path}: no such file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SeqsweepError(f"{path}: not a TOML file: {error}") from None
-    return judged(farm_of(content, out), lambda name: read_table(path.parent / name))
+    library = Library(lambda name: read_table(path.parent / name))
+    return library, judged(farm_of(content, out), library)
 
 
 def surrogate(y: Table) -> Surrogate:

@@ -238,6 +238,12 @@ def sweep_with_damping(
 ) -> FrequencyResponse:
     """The device of ``config`` at ``op_id``, swept with damping gain ``k`` for ``grid`` (ohm, H) at ``f_r_hz``."""
     data = config.to_dict()
+    data["operating_point"] = [point for point in data["operating_point"] if point["id"] == op_id]
+    return swept_damped(data, grid, k, f_r_hz, jobs)
+
+
+def swept_damped(data: dict[str, Any], grid: SeriesRL, k: float, f_r_hz: float | None, jobs: int) -> FrequencyResponse:
+    """The campaign ``data`` of one operating point, swept with damping gain ``k`` for ``grid`` at ``f_r_hz``."""
     damping = {
         "damping_gain": k,
         "damping_r_ohm": grid.r_ohm,
@@ -247,7 +253,6 @@ def sweep_with_damping(
     data["plant"]["parameters"] = {**data["plant"].get("parameters", {}), **damping}
     if data["injection"]["amplitude_pu"] == "auto":  # devices with a measurement port are quiet: the default will do
         data["injection"] = {key: value for key, value in data["injection"].items() if not key.startswith("amplitude")}
-    data["operating_point"] = [point for point in data["operating_point"] if point["id"] == op_id]
     damped = Config.from_dict(data)
     try:
         plant = plant_or_card(damped)

@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two workers, two cores
+for _name in ("COLUMNS", "LINES"):  # readline, which pytest imports, gives them to children behind Python's back
+    os.environ.pop(_name, None)
+    os.unsetenv(_name)
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # begun by a shell's "&": commands would not hear Ctrl-C either
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -42,7 +42,10 @@ def grid_warnings(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid
     if grid.couples:
         return ()  # a converter sets its own voltage: no load flow of a line tells it
     swept = point.get("grid")
-    return (*_implausible(bases, grid), *(_against_swept_grid(swept, grid) if swept else _source(point, bases, grid)))
+    load_flow = _no_operating_point(point, bases, grid)
+    if not load_flow:
+        load_flow = _against_swept_grid(swept, grid) if swept else _source(point, bases, grid)
+    return (*_implausible(bases, grid), *load_flow)
 
 
 def _implausible(bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
@@ -53,6 +56,34 @@ def _implausible(bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     if PLAUSIBLE_SCR[0] <= scr <= PLAUSIBLE_SCR[1]:
         return ()
     return (f"the grid's short-circuit ratio is {scr:.2g}: R + jX is in ohm at f1, is that its unit?",)
+
+
+def _no_operating_point(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
+    """A power that the grid cannot carry from |v_pcc| of the table to a source at 1 pu, whatever the reactive power."""
+    voltage_pu, rated_v = point.get("terminal_voltage_pu") or 1.0, bases.get("rated_voltage_v")
+    power_va, _ = _power_out(point)
+    if power_va is None or not rated_v:
+        return ()
+    least, most = power_limits_w(voltage_pu * rated_v, rated_v, grid)
+    if least <= power_va.real <= most:
+        return ()
+    limit = most if power_va.real > 0.0 else least
+    return (
+        f"no operating point exists on this grid with a source at 1 pu: from |v_pcc| = {voltage_pu:.4g} pu it carries "
+        f"at most {abs(limit) / 1e6:.3g} MW, with whatever reactive power; the table's point is "
+        f"{power_va.real / 1e6:.4g} MW",
+    )
+
+
+def power_limits_w(terminal_voltage_v: float, source_voltage_v: float, grid: Grid) -> tuple[float, float]:
+    """Least and largest P (W) out of a device at |v_pcc| into a source of |v_g| (V) behind the grid, over all angles.
+
+    P = Re(v conj((v - v_g)/Z)) = |v|^2 R/|Z|^2 - |v| |v_g|/|Z| cos(angle): Kundur, 1994, section 6.4.
+    """
+    z = grid.at_f1
+    own = terminal_voltage_v**2 * z.real / abs(z) ** 2
+    across = terminal_voltage_v * source_voltage_v / abs(z)
+    return own - across, own + across
 
 
 def _source(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def _draw_jacobian(axes: Axes, m: Metrics) -> None:
 
 
 def _draw_nfp(modulus: Axes, phase: Axes, m: Metrics) -> None:
-    from matplotlib.ticker import MultipleLocator
+    from matplotlib.ticker import MaxNLocator
 
     modulus.plot(m.nu_hz, np.abs(m.nfp.value), color=DEVICE, marker=".", markersize=3)
     _band(modulus, m.nu_hz, np.abs(m.nfp.value), m.nfp.magnitude_std, DEVICE)
@@ -71,7 +71,7 @@ def _draw_nfp(modulus: Axes, phase: Axes, m: Metrics) -> None:
     modulus.set_yscale("log")
     modulus.set_ylabel("|dP/df| (pu/pu)")
     phase.set_ylabel("phase (deg)")
-    phase.yaxis.set_major_locator(MultipleLocator(90.0))
+    phase.yaxis.set_major_locator(MaxNLocator(4, steps=[1.0, 1.5, 3.0, 4.5, 9.0, 10.0], min_n_ticks=3))
 
 
 def _phase_deg(of: Response) -> np.ndarray:

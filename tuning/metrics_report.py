@@ -13,6 +13,7 @@ import numpy as np
 
 from ..identify.files import write_json as write_whole
 from .intervals import NORMAL_95
+from .layout import labelled, wrapped
 from .metrics import MISFIT_LIMIT, SUB_TRANSIENT_HZ, Least, Metrics, Response, Swing
 
 _UNITS = {
@@ -23,20 +24,20 @@ _UNITS = {
 }
 
 
-def format_report(m: Metrics) -> str:
-    """One operating point in lines."""
+def format_report(m: Metrics, width: int = 80) -> str:
+    """One operating point in lines no wider than ``width``."""
     where = "at its own terminals" if m.behind is None else f"from the source behind {m.behind}"
     low, high = SUB_TRANSIENT_HZ
     band = f"{low:g} to {high:g} Hz"
-    lines = [
-        f"{m.op_id}: {point_text(m)}, {where}",
-        f"  least |dP/dtheta| from {band:<17} {_least_text(m.p_stiffness, 'pu/rad')}",
-        f"  least |dQ/dV| from {band:<21} {_least_text(m.q_stiffness, 'pu/pu')}",
-        f"  least voltage stiffness from {band:<11} {_least_text(m.voltage_stiffness_db, 'dB')}",
-        *_swing_lines(m.swing),
-        f"  passive where nu is                    {_bands_text(m)}",
+    rows = [
+        (f"  least |dP/dtheta| from {band}", _least_text(m.p_stiffness, "pu/rad")),
+        (f"  least |dQ/dV| from {band}", _least_text(m.q_stiffness, "pu/pu")),
+        (f"  least voltage stiffness from {band}", _least_text(m.voltage_stiffness_db, "dB")),
+        *_swing_rows(m.swing),
+        ("  passive where nu is", _bands_text(m)),
     ]
-    return "\n".join(lines)
+    head = wrapped(f"{m.op_id}: {point_text(m)}, {where}", width)
+    return "\n".join([*head, labelled(rows, width)])
 
 
 def point_text(m: Metrics) -> str:
@@ -45,17 +46,19 @@ def point_text(m: Metrics) -> str:
     return f"P {p:.4g} pu, Q {q:.4g} pu, |v| {v:.4g} pu"
 
 
-def _swing_lines(swing: Swing | str) -> list[str]:
-    head = "  swing equation                         "
+def _swing_rows(swing: Swing | str) -> list[tuple[str, str]]:
+    name = "  swing equation"
     if isinstance(swing, str):
-        return [f"{head}not fitted: {swing}"]
+        return [(name, f"not fitted: {swing}")]
     fitted = f"{swing.n_rows} rows, nu from {swing.band_hz[0]:.3g} to {swing.band_hz[1]:.3g} Hz"
     if not swing.is_swing:
-        return [f"{head}withheld: the misfit is {100 * swing.misfit:.3g} %, above {100 * MISFIT_LIMIT:g} % ({fitted})"]
+        return [
+            (name, f"withheld: the misfit is {100 * swing.misfit:.3g} %, above {100 * MISFIT_LIMIT:g} % ({fitted})")
+        ]
     k, m_s, d = (_with_doubt(x, std) for x, std in zip((swing.k, swing.m_s, swing.d), swing.std, strict=True))
     return [
-        f"{head}M = {m_s} s, D = {d} pu, K = {k} pu/rad",
-        f"{head}misfit {100 * swing.misfit:.2g} %, {fitted}",
+        (name, f"M = {m_s} s, D = {d} pu, K = {k} pu/rad"),
+        ("", f"misfit {100 * swing.misfit:.2g} %, {fitted}"),
     ]
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Iterable, Sequence
 from math import floor, log10
 
 from ..identify.uncertainty import NORMAL_95
 from .intervals import Interval
+from .layout import fitted_table, left_out, wrapped
 from .result import PointTuning, TuningResult, mode_with_k
 
 CERTAIN = 0.999
@@ -18,7 +18,6 @@ NAMED = 4
 """Operating points that a note names before it counts the others."""
 
 _DROPPED_FIRST = ("SCR crit", "m predicted", "damping", "Z crit", "m with k", "resonance Hz")
-_LEFT = ("op", "verdict")
 
 
 def format_table(result: TuningResult, width: int = 80) -> str:
@@ -27,19 +26,14 @@ def format_table(result: TuningResult, width: int = 80) -> str:
     Columns that do not fit are left out in the order of `_DROPPED_FIRST`, and a line says which.
     """
     rows = [_row(point, result) for point in result.points]
-    names = [name for name in rows[0] if any(row[name] for row in rows)]
-    dropped = []
-    for name in _DROPPED_FIRST:
-        if name in names and _table_width(rows, names) > width:
-            names.remove(name)
-            dropped.append(name)
-    lines = [
-        *wrapped(_head(result), width),
-        "",
-        *aligned(_cells(rows, names)),
-        "",
-    ]
-    for remark in (*_legend(rows, names, result), *_left_out(dropped), *grouped(_remarks(result))):
+    table = fitted_table(rows, width, _DROPPED_FIRST)
+    remarks = (
+        *_legend(rows, table.names, result),
+        *left_out(table.dropped, "-o TUNING.json"),
+        *grouped(_remarks(result)),
+    )
+    lines = [*wrapped(_head(result), width), "", *table.lines, ""]
+    for remark in remarks:
         lines += wrapped(remark, width)
     return "\n".join(lines)
 
@@ -141,11 +135,6 @@ def _legend(rows: Sequence[dict[str, str]], names: Sequence[str], result: Tuning
         yield f"worst operating point: {worst.op_id}{at}"
 
 
-def _left_out(dropped: Sequence[str]) -> Iterable[str]:
-    if dropped:
-        yield f"left out, the lines being too long: {', '.join(dropped)} (a wider terminal or -o TUNING.json has them)"
-
-
 def _remarks(result: TuningResult) -> Iterable[tuple[str, str]]:
     """Every remark with the name of its entry."""
     several = len(result.scales) > 1
@@ -200,36 +189,3 @@ def _names(names: Sequence[str]) -> str:
 
 def _of_the_first(names: Sequence[str], texts: set[str]) -> str:
     return f" (numbers of {names[0]})" if len(texts) > 1 else ""
-
-
-# Layout --------------------------------------------------------------------------------------------------------------
-
-
-def aligned(table: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table whose first row is its head: names to the left, numbers to the right."""
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    head, *rows = table
-    lines = []
-    for cells in (head, ["-" * width for width in widths], *rows):
-        padded = [
-            cell.ljust(width) if name in _LEFT else cell.rjust(width)
-            for name, cell, width in zip(head, cells, widths, strict=True)
-        ]
-        lines.append("  ".join(padded).rstrip())
-    return lines
-
-
-def _table_width(rows: Sequence[dict[str, str]], names: Sequence[str]) -> int:
-    return max(map(len, aligned(_cells(rows, names))))
-
-
-def _cells(rows: Sequence[dict[str, str]], names: Sequence[str]) -> list[Sequence[str]]:
-    """The head of a table and its rows."""
-    return [names, *([row[name] for name in names] for row in rows)]
-
-
-def wrapped(text: str, width: int) -> list[str]:
-    """Lines of at most ``width``, the second and further ones indented; no percent sign is parted from its number."""
-    held_together = text.replace(" %", "\N{NO-BREAK SPACE}%")
-    lines = textwrap.wrap(held_together, max(width, 20), subsequent_indent="  ")
-    return [line.replace("\N{NO-BREAK SPACE}%", " %") for line in lines]

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ...tuning.bank.judgement import PairVerdict
+from ...tuning.layout import fitted_table, left_out, wrapped
 from ...tuning.probability import DECIDED
 
 SHOWN = 12
 """Pairs that the terminal shows."""
 
+_DROPPED_FIRST = ("damping", "Z crit", "m")
+
 
 def report_text(verdicts: Sequence[PairVerdict], f1_hz: float, width: int) -> str:
     """The report for a terminal so many characters wide."""
-    lines = [summary(verdicts, f1_hz), "", *_table(verdicts[:SHOWN], f1_hz)]
-    if len(verdicts) > SHOWN:
-        lines.append(f"... and {len(verdicts) - SHOWN} more: -o judge.parquet holds them all")
-    lines += ["", *_settling(verdicts), *_edges(verdicts), *_warnings(verdicts), *_failures(verdicts)]
-    return "\n".join(_wrapped(lines, width))
+    table = fitted_table([_row(v, f1_hz) for v in verdicts[:SHOWN]], width, _DROPPED_FIRST)
+    more = [f"... and {len(verdicts) - SHOWN} more: -o judge.parquet holds them all"] if len(verdicts) > SHOWN else []
+    remarks = (
+        *left_out(table.dropped, "-o judge.parquet"),
+        *_settling(verdicts),
+        *_edges(verdicts),
+        *_warnings(verdicts),
+        *_failures(verdicts),
+    )
+    lines = [*wrapped(summary(verdicts, f1_hz), width), "", *table.lines, *more, ""]
+    return "\n".join([*lines, *(line for remark in remarks for line in wrapped(remark, width))])
 
 
 def summary(verdicts: Sequence[PairVerdict], f1_hz: float) -> str:
@@ -71,31 +79,19 @@ def mode(verdict: PairVerdict, f1_hz: float) -> str:
     return f"{place}, Re {verdict.re_rad_s:+.3g} rad/s"
 
 
-def _table(verdicts: Sequence[PairVerdict], f1_hz: float) -> list[str]:
-    head = ("grid", "op", "verdict", "P stable", "m", "mode Hz", "Re rad/s", "damping", "Z crit")
-    rows = [head, *(_row(v, f1_hz) for v in verdicts)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return [lines[0], "  ".join("-" * w for w in widths), *lines[1:]]
-
-
-def _row(v: PairVerdict, f1_hz: float) -> tuple[str, ...]:
+def _row(v: PairVerdict, f1_hz: float) -> dict[str, str]:
     nu = None if v.im_rad_s is None else abs(v.im_rad_s) / (2.0 * np.pi)
-    return (
-        _short(v.grid_id),
-        _short(v.op_id),
-        v.verdict if v.status == "ok" else v.status,
-        "-" if v.probability is None else f"{v.probability:.3g}",
-        "-" if v.margin_m is None else f"{v.margin_m:.3f}",
-        "-" if nu is None else f"{f1_hz - nu:.1f}/{f1_hz + nu:.1f}",
-        "-" if v.re_rad_s is None else f"{v.re_rad_s:+.3g}",
-        "-" if v.damping is None else f"{100.0 * v.damping:.1f} %",
-        "-" if v.critical_scale is None else f"x{v.critical_scale:.3f}",
-    )
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 28 else f"{text[:12]}...{text[-13:]}"
+    return {
+        "grid": v.grid_id,
+        "op": v.op_id,
+        "verdict": v.verdict if v.status == "ok" else v.status,
+        "P stable": "-" if v.probability is None else f"{v.probability:.3g}",
+        "m": "-" if v.margin_m is None else f"{v.margin_m:.3f}",
+        "mode Hz": "-" if nu is None else f"{f1_hz - nu:.1f}/{f1_hz + nu:.1f}",
+        "Re rad/s": "-" if v.re_rad_s is None else f"{v.re_rad_s:+.3g}",
+        "damping": "-" if v.damping is None else f"{100.0 * v.damping:.1f} %",
+        "Z crit": "-" if v.critical_scale is None else f"x{v.critical_scale:.3f}",
+    }
 
 
 def _settling(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
@@ -131,9 +127,3 @@ def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
         yield f"{v.grid_id}: {v.reason}"
     if len(failed) > 5:
         yield f"... and {len(failed) - 5} more grids that could not be read"
-
-
-def _wrapped(lines: Sequence[str], width: int) -> Iterator[str]:
-    for line in lines:
-        is_table = "  " in line.strip()
-        yield from [line] if is_table else textwrap.wrap(line, max(width, 40), subsequent_indent="  ") or [""]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from .say import columns, say
 from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
 
 LINE_S = 5.0
@@ -63,7 +63,7 @@ def judge(
         report=_progress(),
     )
     f1_hz = responses[0].f1_hz
-    typer.echo(report_text(verdicts, f1_hz, shutil.get_terminal_size((100, 24)).columns))
+    say(report_text(verdicts, f1_hz, columns()))
     if output is not None:
         from ..bank.table import write_judge
         from ..run import shards

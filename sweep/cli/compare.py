@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .say import say
 from .shared import DIFFERENT, WrongInput
 
 if TYPE_CHECKING:
@@ -30,9 +31,9 @@ def compare(
     pairs = list(_pairs(read_table(first), read_table(second)))
     found = [compared(a, b, tolerance) for a, b in pairs]
     for comparison in found:
-        typer.echo(_text(comparison))
+        say(_text(comparison))
     agree = all(comparison.agrees for comparison in found)
-    typer.echo(f"agree within their uncertainty: {'yes' if agree else 'no'}")
+    say(f"agree within their uncertainty: {'yes' if agree else 'no'}")
     if not agree:
         raise typer.Exit(DIFFERENT)
 

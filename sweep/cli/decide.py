@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from .say import columns, say, tell
 from .shared import (
     NOT_ALL_OK,
     CampaignFile,
@@ -68,14 +68,12 @@ def tune(
     if confirm:
         from ..confirm import confirm as confirm_gain
 
-        result = confirm_gain(
-            result, content.meta["configuration"], jobs=jobs, report=lambda text: typer.echo(text, err=True)
-        )
-    typer.echo(format_table(result, shutil.get_terminal_size((100, 24)).columns))
+        result = confirm_gain(result, content.meta["configuration"], jobs=jobs, report=tell)
+    say(format_table(result, columns()))
     if output is not None:
         write_json(result, output)
     if plot is not None and result.worst_fitted is None:
-        typer.echo(f"{plot}: not drawn, for no operating point has a fit", err=True)
+        tell(f"{plot}: not drawn, for no operating point has a fit")
     elif plot is not None:
         from ...tuning.figures import plot_result
 
@@ -126,8 +124,7 @@ def verify(
     from ..verify.job import VerifyJob, verified
 
     check_outputs(output, force, plot, ".json")
-    width = shutil.get_terminal_size((100, 24)).columns
-    typer.echo(verified(VerifyJob(tuning, table, op, scale, scenario, output, plot, width)))
+    say(verified(VerifyJob(tuning, table, op, scale, scenario, output, plot, columns())))
 
 
 def grid(
@@ -149,7 +146,7 @@ def grid(
     planned, plant = planned_of(campaign, settings)
     probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
     seen = probe_hosted(host_at_hand(plant, planned.hosting), planned, probe, op)
-    typer.echo(format_report(seen, probe, plant.f1_hz))
+    say(format_report(seen, probe, plant.f1_hz))
     if output is not None:
         write_json(to_json(seen, probe, planned), output)
     if plot is not None and any(each.found for each in seen):

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .say import say, tell
 from .shared import Force, WrongInput, check_new, check_outputs, check_suffix
 
 if TYPE_CHECKING:
     from ...tuning.farm.farm import Farm
+    from ...tuning.farm.restore import Advice, Demand
+    from ...tuning.farm.units import Library
+
+Jobs = Annotated[int | None, typer.Option(metavar="N", help="Threads that sweep; all processors unless given.")]
+
+
+class Lever(StrEnum):
+    """What can be changed on a device."""
+
+    gain = "gain"
+    power = "power"
 
 
 def farm(
@@ -24,20 +38,34 @@ def farm(
         Path | None, typer.Option(metavar="FILE.parquet", help="Write the farm's own admittance at the source's bus.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Modes and shares: .png, .svg or .pdf.")] = None,
+    by: Annotated[
+        list[Lever] | None, typer.Option(help="What can be changed: damping gains, powers given up; repeatable.")
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option(metavar="PERCENT", help="Damping that every mode shall have; with --by.")
+    ] = None,
+    probability: Annotated[float, typer.Option(metavar="P", help="Probability with which it shall have it.")] = 0.95,
+    jobs: Jobs = None,
     force: Force = False,
 ) -> None:
     """Load flow, verdict and modes of many devices on one network, and who takes part in each mode."""
     from ...identify.files import write_json
+    from ...tuning.farm.advice_text import advice_text
     from ...tuning.farm.result import text_of, to_json
 
     check_outputs(output, force, plot, ".json")
     if table is not None:
         check_new(table, force)
         check_suffix(table, ".parquet")
-    found = _judged(document, out or [])
-    typer.echo(text_of(found))
+    _check_demand(damping, probability, by)
+    library, found = _judged(document, out or [])
+    say(text_of(found))
+    demand = _demand(damping, probability, found)
+    advice = [_advice(lever, library, found, demand, jobs) for lever in by or []]
+    for one in advice:
+        say(f"\n{advice_text(one)}")
     if output is not None:
-        write_json(output, to_json(found))
+        write_json(output, to_json(found, advice))
     if table is not None:
         _write_table(found, table, document)
     if plot is not None:
@@ -46,13 +74,38 @@ def farm(
         plot_farm(plot, found)
 
 
-def _judged(document: Path, out: list[str]) -> Farm:
+def _judged(document: Path, out: list[str]) -> tuple[Library, Farm]:
     from ...identify.table.read import read_table
     from ...tuning.farm.document import farm_of
     from ...tuning.farm.farm import judged
+    from ...tuning.farm.units import Library
 
     entry = farm_of(_read(document), out)
-    return judged(entry, lambda name: read_table(document.parent / name))
+    library = Library(lambda name: read_table(document.parent / name))
+    return library, judged(entry, library)
+
+
+def _check_demand(damping: float | None, probability: float, by: list[Lever] | None) -> None:
+    if damping is not None and not by:
+        raise WrongInput("--damping asks what would restore it; say by what: --by gain, --by power, or both")
+    if damping is not None and not -100.0 < damping < 100.0:
+        raise WrongInput(f"--damping {damping:g}: needed is a damping ratio in per cent, such as 5")
+    if not 0.5 <= probability < 1.0:
+        raise WrongInput(f"--probability {probability:g}: needed is a number from 0.5 to below 1, such as 0.95")
+
+
+def _demand(damping: float | None, probability: float, found: Farm) -> Demand | None:
+    from ...tuning.farm.restore import DAMPED_BAND, Demand
+
+    return None if damping is None else Demand(damping / 100.0, probability, DAMPED_BAND * found.entry.f1_hz)
+
+
+def _advice(lever: Lever, library: Library, found: Farm, demand: Demand | None, jobs: int | None) -> Advice:
+    from ..farm_sweeps import gain_advice, power_advice
+
+    if lever == Lever.power:
+        return power_advice(library, found, demand, tell)
+    return gain_advice(library, found, demand, jobs or os.cpu_count() or 1, tell)
 
 
 def _read(document: Path) -> dict[str, Any]:
@@ -91,4 +144,4 @@ def _write_table(found: Farm, table: Path, document: Path) -> None:
         "plant": {"id": "farm", "devices": [unit.key for unit in found.units]},
     }
     write_table(table, [response], meta)
-    typer.echo(f"{table}: the farm at {found.entry.source_bus}", err=True)
+    tell(f"{table}: the farm at {found.entry.source_bus}")

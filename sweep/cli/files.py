@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from .say import say, tell
 from .shared import (
     NOT_ALL_OK,
     CampaignFile,
@@ -48,7 +49,7 @@ def identify(
     check_suffix(output, ".parquet")
     rating, units = (rated_voltage_v, rated_power_va), (voltage_unit, current_unit)
     request = request_of(files, manifest, channels, direction, f1, sample_rate, rating, op, stable_on, units)
-    outcome = identify_recordings(request, output, jobs=jobs, say=lambda text: typer.echo(text, err=True))
+    outcome = identify_recordings(request, output, jobs=jobs, say=tell)
     report_statuses(output, outcome.statuses)
     if not outcome.all_ok:
         raise typer.Exit(NOT_ALL_OK)
@@ -72,7 +73,7 @@ def export_command(
         raise WrongInput(f"--z0 {z0:g}: needed: a number above 0, in ohm")
     found = format_of(output, kind)
     check_new(output, force)
-    typer.echo(export_table(table, output, found, op, frame, z0))  # type: ignore[arg-type]
+    say(export_table(table, output, found, op, frame, z0))  # type: ignore[arg-type]
 
 
 def import_command(
@@ -121,7 +122,7 @@ def import_command(
     found = format_of(file, kind, reading=True)
     check_new(output, force)
     check_suffix(output, ".parquet")
-    typer.echo(import_file(file, output, found, given))
+    say(import_file(file, output, found, given))
 
 
 def inject_command(
@@ -157,12 +158,12 @@ def inject_command(
         raise WrongInput(f"{output / FILE_NAME} exists; --force writes over it")
     check_folder(output)
     for warning in plan.warnings:
-        typer.echo(f"warning: {warning}", err=True)
+        tell(f"warning: {warning}")
     output.mkdir(exist_ok=True)
     written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
     ends = {experiment.file: experiment.end_s for experiment in written.experiments}
     files = f"{len(ends)} file{'s' if len(ends) > 1 else ''}"
-    typer.echo(
+    say(
         f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {files}, "
         f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
     )

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .say import tell
 from .shared import Force, WrongInput, check_new
 
 
@@ -44,12 +45,12 @@ def report(
     text = page(content, stamped, profiles)
     with atomic_file(output) as file:
         file.write(text.encode())
-    typer.echo(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser", err=True)
+    tell(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser")
     if printer is not None:
         content_of_paper = printed(page(content, stamped, profiles, printing=True), printer)
         with atomic_file(paper) as file:
             file.write(content_of_paper)
-        typer.echo(f"{paper}: {len(content_of_paper) / 1e3:.0f} kB", err=True)
+        tell(f"{paper}: {len(content_of_paper) / 1e3:.0f} kB")
 
 
 def _check_output(output: Path, paper: Path | None, force: bool) -> None:

@@ -8,6 +8,7 @@ machine failed us, 5 a fault of the program itself. What a command needs is impo
 from __future__ import annotations
 
 import errno
+import io
 import os
 import signal
 import sys
@@ -30,6 +31,7 @@ from . import handover as cli_handover
 from . import metrics as cli_metrics
 from . import region as cli_region
 from . import sweep as cli_sweep
+from .say import say, tell
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -86,9 +88,7 @@ def _version(
 
         from ...identify.table.format import VERSION as TABLE_FORMAT
 
-        typer.echo(
-            f"seqsweep {version_of('seqsweep')}, table format {TABLE_FORMAT}, Python {platform.python_version()}"
-        )
+        say(f"seqsweep {version_of('seqsweep')}, table format {TABLE_FORMAT}, Python {platform.python_version()}")
         raise typer.Exit
 
 
@@ -123,24 +123,26 @@ def _status() -> int:
         result = app(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
         if meant := _meant(arguments):
-            typer.echo(f"no command is called so; did you mean: seqsweep {meant}", err=True)
+            tell(f"no command is called so; did you mean: seqsweep {meant}")
         else:
-            error.show(file=sys.stderr)
+            usage = io.StringIO()
+            error.show(file=usage)
+            tell(usage.getvalue().rstrip())
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except SeqsweepError as error:
-        typer.echo(str(error), err=True)
+        tell(str(error))
         return WRONG_INPUT
     except (BrokenPipeError, SystemExit):  # nobody reads on; typer makes the latter of the former
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
         kept = error.errno in _FULL and _began(arguments)
-        typer.echo(f"{_in_words(error)}{'; what was measured is kept: ' + GO_ON if kept else ''}", err=True)
+        tell(f"{_in_words(error)}{'; what was measured is kept: ' + GO_ON if kept else ''}")
         return MACHINE
     except MemoryError:
-        typer.echo("the memory of this machine does not suffice", err=True)
+        tell("the memory of this machine does not suffice")
         return MACHINE
     except Exception as error:
         typer.echo(faults.told(error, arguments, debug), err=True)
@@ -187,7 +189,7 @@ def _in_words(error: OSError) -> str:
 
 
 def _interrupted() -> int:
-    typer.echo(f"interrupted{'; ' + GO_ON if _resumes() else ''}", err=True)
+    tell(f"interrupted{'; ' + GO_ON if _resumes() else ''}")
     return INTERRUPTED
 
 

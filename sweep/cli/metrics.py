@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .say import columns, say
 from .shared import Force, TableFile, check_outputs
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def metrics(
     check_outputs(output, force, plot, ".json")
     content = read_table(table)
     found = _of_table(content, behind, op)
-    typer.echo("\n\n".join(format_report(each) for each in found))
+    say("\n\n".join(format_report(each, columns()) for each in found))
     if output is not None:
         write_json(found, content.meta, output)
     if plot is not None:

@@ -31,7 +31,7 @@ def _shots(plan: Plan) -> Iterator[str]:
     for point in plan.points:
         injected = ", ".join(f"{shot.injected_hz:+.6g}" for shot in plan.shots_of(plan.conditions[0], point)[:2])
         window_s = point.window_blocks * plan.block.duration_s
-        probed = "  at half amplitude, too" if point.f_hz in plan.probes else ""
+        probed = "  and at half" if point.f_hz in plan.probes else ""
         yield f"{point.f_hz:>12.6f} {injected:>28} {point.n_periods:>8} {window_s:>11.3g}{probed}"
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .say import say, tell
 from .shared import Force, TableFile, WrongInput, check_outputs
 
 if TYPE_CHECKING:
@@ -42,10 +43,10 @@ def surrogate(
     points = [_point(text) for text in at or ()]
     model = read_surrogate(table)
     lines = [_line(model, point) for point in points]  # a point outside is refused before anything is said
-    typer.echo(_summary(model))
+    say(_summary(model))
     worst = None if grid is None else _worst(model, table, grid, source_voltage)
     for line in lines:
-        typer.echo(line)
+        say(line)
     if output is not None:
         _write(model, table, points, output)
     if plot is not None:
@@ -99,12 +100,12 @@ def _worst(model: Surrogate, table: Path, text: str, source_voltage: float | Non
     critical = worst.tuning.stability.critical if worst.tuning.stability else None
     margin = "no crossing" if critical is None else f"m = {critical.m:.4g} at {critical.f_hz:.4g} Hz"
     where = ", ".join(f"{value:.4g}" for value in worst.point)
-    typer.echo(f"worst operating point (P, Q, |v|) = ({where}): {worst.tuning.verdict}, {margin}")
-    typer.echo("It is a prediction: sweep that point and tune it before it decides anything.")
+    say(f"worst operating point (P, Q, |v|) = ({where}): {worst.tuning.verdict}, {margin}")
+    say("It is a prediction: sweep that point and tune it before it decides anything.")
     if source_voltage is None and model.region.varies[2]:
-        typer.echo("|v| was searched over its range like the powers; with --source-voltage it follows from the grid.")
+        say("|v| was searched over its range like the powers; with --source-voltage it follows from the grid.")
     else:
-        typer.echo("Points whose |v| would leave the swept range are left out.")
+        say("Points whose |v| would leave the swept range are left out.")
     return worst
 
 
@@ -116,7 +117,7 @@ def _write(model: Surrogate, table: Path, points: list[np.ndarray], output: Path
     content = read_table(table)
     if points:
         write_predicted(output, model, points, content)
-        typer.echo(f"{output}: {len(points)} predicted operating point{'' if len(points) == 1 else 's'}", err=True)
+        tell(f"{output}: {len(points)} predicted operating point{'' if len(points) == 1 else 's'}")
         return
     write_surrogate(output, model, content)
-    typer.echo(f"{output}: the surrogate with the sweeps that it rests on", err=True)
+    tell(f"{output}: the surrogate with the sweeps that it rests on")

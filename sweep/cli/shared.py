@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...plant.errors import SeqsweepError
+from .say import tell
 
 if TYPE_CHECKING:
     from ...plant.protocol import Plant
@@ -56,7 +57,7 @@ def planned_from(config: Config) -> tuple[Plan, Plant | PlantCard]:
     plant = plant_or_card(config)
     planned = make_plan(config, plant)
     for warning in planned.warnings:
-        typer.echo(f"warning: {warning}", err=True)
+        tell(f"warning: {warning}")
     return planned, plant
 
 
@@ -106,7 +107,7 @@ def check_suffix(output: Path, suffix: str) -> None:
 def report_statuses(output: Path, statuses: dict[str, int]) -> None:
     """One line on stderr: rows by status, the most frequent first."""
     counts = ", ".join(f"{n} {status}" for status, n in sorted(statuses.items(), key=lambda item: -item[1]))
-    typer.echo(f"{output}: {counts}", err=True)
+    tell(f"{output}: {counts}")
 
 
 def check_folder(output: Path) -> None:

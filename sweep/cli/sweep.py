@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from .say import columns, say, tell
 from .shared import (
     NOT_ALL_OK,
     WRONG_INPUT,
@@ -53,7 +54,7 @@ def init(
         text = _drafted(plant)
     with atomic_file(output) as file:
         file.write(text.encode())
-    typer.echo(f"{output} written; next: seqsweep run {output} -o y.parquet")
+    say(f"{output} written; next: seqsweep run {output} -o y.parquet")
 
 
 def _drafted(library: Path) -> str:
@@ -75,7 +76,7 @@ def plan(campaign: CampaignFile, settings: Settings = None, jobs: int = os.cpu_c
     from .plan_text import plan_text
 
     planned, plant = planned_of(campaign, settings)
-    typer.echo(plan_text(planned, plant, jobs))
+    say(plan_text(planned, plant, jobs))
 
 
 def run(
@@ -104,7 +105,7 @@ def run(
     outcome = _run_listed(config, output, Running(jobs, backend, scheduler), force)
     report_statuses(output, outcome.statuses)
     for remark in outcome.remarks:
-        typer.echo(remark, err=True)
+        tell(remark)
     if not outcome.all_ok:
         raise typer.Exit(NOT_ALL_OK)
 
@@ -133,7 +134,7 @@ def _run_listed(config: Config, output: Path, running: Running, force: bool) -> 
             scheduler=running.scheduler,
             discard=force,
             report=report,
-            say=lambda text: typer.echo(text, err=True),
+            say=tell,
         )
 
 
@@ -147,12 +148,12 @@ def _run_region(config: Config, output: Path, running: Running, force: bool) -> 
     folder = output.with_name(output.name + ".rounds")
     if force and folder.exists():
         shutil.rmtree(folder)
-    outcome = sweep_region(config, output, one_round, lambda text: typer.echo(text, err=True))
+    outcome = sweep_region(config, output, one_round, tell)
     report_statuses(output, outcome.statuses)
     known = f"Y is certified to {outcome.tolerance:g} over the region"
     if not outcome.certified:
         known = "the tolerance was not reached: a larger `most` sweeps on, or ask for less"
-    typer.echo(f"{outcome.n_points} operating points; {known}", err=True)
+    tell(f"{outcome.n_points} operating points; {known}")
     if not outcome.certified or set(outcome.statuses) - {"ok"}:
         raise typer.Exit(NOT_ALL_OK)
 
@@ -174,7 +175,7 @@ def show(
         from ...identify.views.bode import bode
 
         drawn = bode(table, plot, op)
-        typer.echo(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")
+        say(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")
 
 
 def validate(table: TableFile) -> None:
@@ -183,24 +184,24 @@ def validate(table: TableFile) -> None:
 
     violations = validate_table(table)
     for violation in violations:
-        typer.echo(violation, err=True)
+        tell(violation)
     if violations:
         raise typer.Exit(WRONG_INPUT)
-    typer.echo(f"{table}: conforms")
+    say(f"{table}: conforms")
 
 
 def check(
     plant: Annotated[str, typer.Argument(metavar="PLANT", help="A plant's id, a CAMPAIGN.toml, or a file to read.")],
 ) -> None:
     """Hold a plant against its promise; of a file (.fmu, .so, .dll, .py) say what it is, executing nothing."""
+    from ...tuning.layout import labelled
     from .check import findings_of, findings_of_campaign, inspect, is_inspected
 
     if is_inspected(plant):
-        typer.echo(inspect(Path(plant)))
+        say(inspect(Path(plant)))
         return
     findings = findings_of_campaign(Path(plant)) if plant.endswith(".toml") else findings_of(plant)
-    width = max(len(finding.name) for finding in findings)
-    for finding in findings:
-        typer.echo(f"{'pass' if finding.passed else 'FAIL'}  {finding.name:<{width}}  {finding.detail}".rstrip())
+    rows = [(f"{'pass' if finding.passed else 'FAIL'}  {finding.name}", finding.detail) for finding in findings]
+    say(labelled(rows, columns()))
     if not all(finding.passed for finding in findings):
         raise typer.Exit(NOT_ALL_OK)

@@ -154,8 +154,7 @@ def _put(data: dict[str, Any], keys: Keys, value: Any) -> None:
     inner: Any = data
     for depth, key in enumerate(keys):
         if isinstance(inner, list) and key not in range(len(inner)):
-            have = f"0 to {len(inner) - 1}" if inner else "none"
-            raise SeqsweepError(f"{dotted(keys[:depth])} is a list: name its entry by number, it has {have}")
+            raise SeqsweepError(_no_entry(keys, depth, len(inner)))
         if not isinstance(inner, list | dict):
             raise SeqsweepError(f"{dotted(keys[:depth])} is {shown(inner)}, not a section")
         place: Any = str(key) if isinstance(inner, dict) else key
@@ -165,6 +164,16 @@ def _put(data: dict[str, Any], keys: Keys, value: Any) -> None:
             inner = inner.setdefault(place, {})
         else:
             inner = inner[place]
+
+
+def _no_entry(keys: Keys, depth: int, count: int) -> str:
+    """Why the key behind a list of so many entries names none of them."""
+    name, key = dotted(keys[:depth]), keys[depth]
+    if count == 0:
+        return f"{name} is an empty list: there is nothing to replace"
+    entries = "one entry, number 0" if count == 1 else f"{count} entries, numbers 0 to {count - 1}"
+    behind = keys[depth + 1 :] if isinstance(key, int) else keys[depth:]
+    return f"{name} is a list of {entries}; an entry is named by its number: {dotted((*keys[:depth], 0, *behind))}=..."
 
 
 # Words

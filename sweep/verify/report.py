@@ -9,7 +9,7 @@ from typing import Any
 
 from ...identify.files import write_json as write_whole
 from ...plant.damping.events import Event, Fault
-from ...tuning.text import wrapped
+from ...tuning.layout import wrapped
 from .reading import RunReport, WindowReport
 from .runs import Verification
 

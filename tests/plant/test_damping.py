@@ -16,91 +16,17 @@ from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 
 from ..support import oracle
+from ..support.damped_oracle import W1, damped_admittance, damped_poles
 
-W1 = TABLE_I.w1_rad_s
-XI = 0.01
 SCALE = 1.4
-R_OHM, L_H = SCALE * LINE_R_OHM, SCALE * LINE_L_H
+R_OHM, L_H = LINE = SCALE * LINE_R_OHM, SCALE * LINE_L_H
 V_PCC_V = 647.31  # at 0.65 MW, 1.4 Z, |v_g| = 690 V
-
-
-# ---------------------------------------------------------------- the oracle with damping, afresh
-
-
-def damped_rhs(
-    x: np.ndarray, v: np.ndarray, i_g: np.ndarray, wind: float, k: float, w_r: float, line: tuple[float, float]
-) -> np.ndarray:
-    """Time derivative (19,): the oracle's states, then the notch as an oscillator z'' + 2 xi w0 z' + w0^2 z = i_g.
-
-    The notch lets i_g - 2 xi w0 z' through. The controller uses the voltage in its PLL alone (states 4, 5).
-    """
-    turbine, z, dz = x[:15], x[15:17], x[17:19]
-    through = i_g - 2.0 * XI * W1 * dz
-    r_v, x_v = k * line[0], k * w_r * line[1]
-    told = v - r_v * through - x_v * turn(through)
-    rates = oracle.rhs(turbine, v, wind)
-    rates = np.concatenate([rates[:4], oracle.rhs(turbine, told, wind)[4:6], rates[6:]])
-    d_dz = i_g - W1**2 * z - 2.0 * XI * W1 * dz - W1 * turn(dz)
-    return np.concatenate([rates, dz - W1 * turn(z), d_dz])
-
-
-def damped_grid_rhs(
-    x: np.ndarray, v_g: np.ndarray, wind: float, k: float, w_r: float, line: tuple[float, float]
-) -> np.ndarray:
-    """Time derivative (21,) behind the line, whose current is the last pair of states."""
-    i_g = x[19:]
-    v = x[2:4] + TABLE_I.r_f_ohm * (x[0:2] - i_g)
-    di_g = (v - v_g - line[0] * i_g) / line[1] - W1 * turn(i_g)
-    return np.concatenate([damped_rhs(x[:19], v, i_g, wind, k, w_r, line), di_g])
-
-
-def damped_equilibrium(power_w: float, terminal_voltage_v: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """State (19,), i_g (2,) and wind: the notch lets nothing of the fundamental through."""
-    x, wind = oracle.equilibrium(power_w, terminal_voltage_v)
-    i_g = -oracle.current(x, np.array([terminal_voltage_v, 0.0]))
-    dz = i_g / (2.0 * XI * W1)
-    return np.concatenate([x, -turn(dz) / W1, dz]), i_g, wind
-
-
-def damped_poles(power_w: float, terminal_voltage_v: float, k: float, w_r: float) -> np.ndarray:
-    """Closed-loop poles (21,) on 1.4 Z (rad/s, dq frame)."""
-    x, i_g, wind = damped_equilibrium(power_w, terminal_voltage_v)
-    v_g = oracle.source_voltage(power_w, terminal_voltage_v, R_OHM, L_H)
-    v_g_dq = np.array([v_g.real, v_g.imag])
-    closed = np.concatenate([x, i_g])
-    return np.linalg.eigvals(jacobian(lambda z: damped_grid_rhs(z, v_g_dq, wind, k, w_r, (R_OHM, L_H)), closed))
-
-
-def damped_admittance(f_hz: np.ndarray, power_w: float, terminal_voltage_v: float, k: float, w_r: float) -> np.ndarray:
-    """Re-swept admittance (n, 2, 2), sequence frame, load direction (S)."""
-    x, _, wind = damped_equilibrium(power_w, terminal_voltage_v)
-    v = np.array([terminal_voltage_v, 0.0])
-
-    def rates(z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return damped_rhs(z, u, -oracle.current(z[:15], u), wind, k, w_r, (R_OHM, L_H))
-
-    a, b = jacobian(lambda z: rates(z, v), x), jacobian(lambda u: rates(x, u), v)
-    c = jacobian(lambda z: oracle.current(z[:15], v), x)
-    d = jacobian(lambda u: oracle.current(x[:15], u), v)
-    s = 1j * (2.0 * pi * f_hz - W1)
-    y_dq = c @ np.linalg.solve(s[:, None, None] * np.eye(len(x)) - a, b.astype(complex)) + d
-    return oracle.T_PN @ y_dq @ np.linalg.inv(oracle.T_PN)
-
-
-def turn(x: np.ndarray) -> np.ndarray:
-    """Multiply by j."""
-    return np.array([-x[1], x[0]])
-
-
-def jacobian(function, z: np.ndarray) -> np.ndarray:
-    h = 1e-40
-    return np.column_stack([function(z + 1j * h * unit).imag / h for unit in np.eye(len(z))])
 
 
 def margin_at_crossing(k: float, w_r: float) -> float:
     """m = |Yg1 / Y1| at the 180-degree crossing of Y1 with f > f1 and the smallest m, at 0.65 MW, 1.4 Z."""
     f = np.arange(51.0, 200.0, 0.01)
-    y = damped_admittance(f, 0.65e6, V_PCC_V, k, w_r)
+    y = damped_admittance(f, 0.65e6, V_PCC_V, k, w_r, LINE)
     z_1, z_2 = R_OHM + 2j * pi * f * L_H, R_OHM + 1j * (2.0 * pi * f - 2.0 * W1) * L_H
     loop = z_1 * (y[:, 0, 0] - y[:, 0, 1] * y[:, 1, 0] / (y[:, 1, 1] + 1.0 / z_2))
     crossing = (loop.real[1:] < 0.0) & (loop.imag[1:] * loop.imag[:-1] <= 0.0)
@@ -118,7 +44,7 @@ def damped_turbine(k: float = 0.5, f_r_hz: float = 77.0) -> ReferenceTurbine:
 def test_half_a_gain_moves_the_unstable_mode_to_the_left(power_w, sigma):
     terminal_voltage_v = oracle.terminal_voltage(power_w, R_OHM, L_H, 690.0)
     assert oracle.resonance_pole(oracle.closed_loop_poles(power_w, R_OHM, L_H, source_voltage_v=690.0)).real > 3.0
-    pole = oracle.resonance_pole(damped_poles(power_w, terminal_voltage_v, 0.5, 2.0 * pi * 77.0))
+    pole = oracle.resonance_pole(damped_poles(power_w, terminal_voltage_v, 0.5, 2.0 * pi * 77.0, LINE))
     assert pole.real == pytest.approx(sigma, abs=0.05)
 
 
@@ -134,7 +60,7 @@ def test_kernel_has_the_closed_loop_poles_of_the_oracle(k):
     state = plant.equilibrium(OperatingPoint(0.65e6, None), Source("thevenin", R_OHM, L_H, 690.0))
     found = plant.linearise(state)
     terminal_voltage_v = oracle.terminal_voltage(0.65e6, R_OHM, L_H, 690.0)
-    exact = damped_poles(0.65e6, terminal_voltage_v, k, 2.0 * pi * 77.0)
+    exact = damped_poles(0.65e6, terminal_voltage_v, k, 2.0 * pi * 77.0, LINE)
     assert len(found) == len(exact)
     for pole in exact[np.abs(exact) < 3e3]:
         assert np.min(np.abs(found - pole)) < 2e-5 * abs(pole) + 1e-4
@@ -145,7 +71,7 @@ def test_reshaped_admittance_swept_on_an_ideal_source_is_exact():
     plant, f_hz = damped_turbine(), np.array([5.0, 23.0, 60.0, 150.0, 400.0, 1000.0])
     state = plant.settle(OperatingPoint(0.65e6, V_PCC_V), Source())
     swept = np.array([sweep_point(plant, state, f) for f in f_hz])
-    exact = damped_admittance(f_hz, 0.65e6, V_PCC_V, 0.5, 2.0 * pi * 77.0)
+    exact = damped_admittance(f_hz, 0.65e6, V_PCC_V, 0.5, 2.0 * pi * 77.0, LINE)
     error = np.linalg.norm(swept - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
     assert np.max(error) < 1e-4
     undamped = oracle.admittance_pn(f_hz, 0.65e6, V_PCC_V)
@@ -160,7 +86,7 @@ def test_reshaped_admittance_in_full(k):
     state = plant.settle(OperatingPoint(0.65e6, V_PCC_V), Source())
     f_hz = np.unique(np.geomspace(1.0, 1000.0, 80).round())
     f_hz = f_hz[np.abs(f_hz - 50.0) >= 4.0]
-    exact = damped_admittance(f_hz, 0.65e6, V_PCC_V, k, 2.0 * pi * 77.0)
+    exact = damped_admittance(f_hz, 0.65e6, V_PCC_V, k, 2.0 * pi * 77.0, LINE)
     for settle_steps in (5000, 10000, 40000):
         swept = np.array([sweep_point(plant, state, f, settle_steps) for f in f_hz])
         error = np.linalg.norm(swept - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
@@ -177,7 +103,7 @@ def test_closed_loop_figures():
     for power_w in (0.60e6, 0.65e6):
         terminal_voltage_v = oracle.terminal_voltage(power_w, R_OHM, L_H, 690.0)
         for k in (0.0, 0.5):
-            pole = oracle.resonance_pole(damped_poles(power_w, terminal_voltage_v, k, 2.0 * pi * 77.0))
+            pole = oracle.resonance_pole(damped_poles(power_w, terminal_voltage_v, k, 2.0 * pi * 77.0, LINE))
             growth[power_w, k] = pole.real
             print(f"\n{power_w / 1e6:.2f} MW, 1.4 Z, k {k}: {pole.real:+.2f} +- j {pole.imag / 2 / pi:.2f} Hz", end="")
     for k in (0.0, 0.357, 0.5, 0.9, 1.1):

@@ -31,7 +31,7 @@ from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 
 from ..support import oracle
-from .test_damping import damped_equilibrium, damped_grid_rhs, turn
+from ..support.damped_oracle import damped_equilibrium, damped_grid_rhs, turn
 
 PLANT = ReferenceTurbine()
 W1 = TABLE_I.w1_rad_s

@@ -6,12 +6,14 @@ vectors are power-invariant dq pairs in the frame of the source; turbine i's own
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import oracle
 
+System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 W1 = 2.0 * np.pi * 50.0
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -40,25 +42,36 @@ def operating_point(star: Star, powers_w: list[float]) -> tuple[np.ndarray, comp
     return v, complex(bus)
 
 
-def closed_loop(star: Star, powers_w: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Poles of turbines and network (rad/s, dq), and the turbines' terminal voltages (n,) complex (V)."""
+def _plain(k: int, power_w: float, voltage_v: float) -> System:
+    m = oracle.linearise(power_w, voltage_v)
+    return m.A, m.B, m.C, m.D
+
+
+def closed_loop(
+    star: Star, powers_w: list[float], system: Callable[[int, float, float], System] = _plain
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poles of turbines and network (rad/s, dq), and the turbines' terminal voltages (n,) complex (V).
+
+    ``system`` gives A, B, C, D of turbine k at a power (W) and a terminal voltage (V).
+    """
     v, _ = operating_point(star, powers_w)
     n = len(powers_w)
-    size = 15 * n + 2 * n + 4
+    systems = [system(k, power, abs(v[k])) for k, power in enumerate(powers_w)]
+    own = len(systems[0][0])
+    size = own * n + 2 * n + 4
     a = np.zeros((size, size))
     bus, source = slice(size - 4, size - 2), slice(size - 2, size)
     a[bus, bus] = -W1 * J
     l_t, l_s = star.z_t.imag / W1, star.z_s.imag / W1
-    for k, power in enumerate(powers_w):
-        m = oracle.linearise(power, abs(v[k]))
+    for k, (m_a, m_b, m_c, m_d) in enumerate(systems):
         c, s = np.cos(np.angle(v[k])), np.sin(np.angle(v[k]))
         turn = np.array([[c, -s], [s, c]])
-        x, i = slice(15 * k, 15 * k + 15), slice(15 * n + 2 * k, 15 * n + 2 * k + 2)
-        d_inverse = np.linalg.inv(turn @ m.D @ turn.T)
+        x, i = slice(own * k, own * k + own), slice(own * n + 2 * k, own * n + 2 * k + 2)
+        d_inverse = np.linalg.inv(turn @ m_d @ turn.T)
         # the turbine draws C x + D v = -i_t; so v = -D^-1 (C x + i_t)
-        by_x, by_i = -d_inverse @ turn @ m.C, -d_inverse
-        a[x, x] = m.A + m.B @ turn.T @ by_x
-        a[x, i] = m.B @ turn.T @ by_i
+        by_x, by_i = -d_inverse @ turn @ m_c, -d_inverse
+        a[x, x] = m_a + m_b @ turn.T @ by_x
+        a[x, i] = m_b @ turn.T @ by_i
         a[i, x] = by_x / l_t
         a[i, i] = (by_i - star.z_t.real * np.eye(2)) / l_t - W1 * J
         a[i, bus] = -np.eye(2) / l_t

@@ -419,8 +419,8 @@ SETTINGS: list[tuple[str, str]] = [
     ("sweep.points=3.5", r"^--set sweep.points=3.5: sweep.points: given 3.5; needed: a whole number"),
     ("sweep.pionts=3", r"^--set sweep.pionts=3: sweep.pionts: unknown key; did you mean points\?"),
     ("sweep.points.x=3", r"^--set sweep.points.x=3: sweep.points is 100, not a section"),
-    ("operating_point.1.id='a'", r"operating_point is a list: name its entry by number, it has 0 to 0"),
-    ("operating_point.id='a'", r"operating_point is a list: name its entry by number"),
+    ("operating_point.1.id='a'", r"operating_point is a list of one entry, number 0"),
+    ("operating_point.id='a'", r"an entry is named by its number: operating_point\.0\.id="),
     ("operating_point=[]", r"^--set operating_point=\[\]: operating_point: given \[\]; needed: at least one section"),
     ("source=3", r"^--set source=3: source: given 3; needed: a section \[source\]"),
 ]

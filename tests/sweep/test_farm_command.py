@@ -45,6 +45,39 @@ def test_a_turbine_less_lets_the_others_stand_at_smaller_angles(folder):
     assert less[0]["angle_deg"] < whole[1]["angle_deg"]
 
 
+def weak(folder: Path) -> Path:
+    """The example on a weaker source."""
+    text = (EXAMPLE / "farm.toml").read_text("utf-8").replace("s_sc_mva = 9.5", "s_sc_mva = 5.2")
+    (folder / "weak.toml").write_text(text, "utf-8")
+    return folder / "weak.toml"
+
+
+def test_less_power_that_restores_the_damping_is_found(folder):
+    done = command("farm", weak(folder), "--by", "power", "--damping", "6", "-o", folder / "w.json", "--force")
+    assert done.returncode == 0, done.stderr
+    assert all(len(line) <= 90 for line in done.stdout.splitlines())
+    (advice,) = json.loads((folder / "w.json").read_text())["advice"]
+    assert [choice["way"] for choice in advice["choices"]] == ["least norm", "fewest", "uniform"]
+    assert all(choice["holds"] for choice in advice["choices"])
+    assert advice["choices"][0]["norm"] <= min(choice["norm"] for choice in advice["choices"]) + 1e-9
+
+
+def test_slopes_by_gain_come_from_real_sweeps(folder):
+    """A turbine at more power takes more part, and so does its gain."""
+    done = command("farm", weak(folder), "--by", "gain", "-o", folder / "g.json", "--force")
+    assert done.returncode == 0, done.stderr
+    (advice,) = json.loads((folder / "g.json").read_text())["advice"]
+    assert advice["choices"] == []
+    slopes = [value["re_per_s"] for value in advice["slopes"][0]["by_device"].values()]
+    assert slopes[0] < slopes[1] < slopes[2] < 0.0
+
+
+def test_damping_without_a_lever_is_refused(folder):
+    done = command("farm", folder / "farm.toml", "--damping", "5")
+    assert done.returncode == 2
+    assert "--by gain, --by power" in done.stderr
+
+
 def test_a_binary_file_or_a_folder_is_no_farm(folder):
     for given, words in ((folder / "turbine.parquet", "no text; a farm file is TOML"), (folder, "is a folder")):
         done = command("farm", given)

@@ -10,9 +10,10 @@ import pytest
 from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.operating_state import fundamental_facts
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.tuning.farm.choices import fewest, least_norm, uniform
 from seqsweep.tuning.farm.document import FarmError, farm_of
 from seqsweep.tuning.farm.farm import judged, seen_from_source
-from seqsweep.tuning.farm.participation import fewest, least_norm, parts_of, uniform
+from seqsweep.tuning.farm.participation import parts_of
 from seqsweep.tuning.farm.system import System
 from seqsweep.tuning.poles import closed_loop_poles
 from seqsweep.tuning.siso import SeriesRL

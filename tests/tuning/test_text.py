@@ -10,9 +10,10 @@ import pytest
 from seqsweep.identify.exclusion import Band, parse_bands, without_bands
 from seqsweep.plant.errors import SeqsweepError
 from seqsweep.tuning.intervals import Interval
+from seqsweep.tuning.layout import wrapped
 from seqsweep.tuning.result import TuningResult, to_json
 from seqsweep.tuning.siso import SeriesRL
-from seqsweep.tuning.text import format_table, grouped, wrapped
+from seqsweep.tuning.text import format_table, grouped
 from seqsweep.tuning.tune import tune
 
 from .test_tuning import F1_HZ, F_HZ, on_grid, turbine

@@ -22,7 +22,7 @@ from seqsweep.identify.table.write import write_table
 from seqsweep.identify.views import style
 from seqsweep.tuning.figures import bode_figure, locus_figure, plot_result, pole_figure, result_figure
 from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
-from seqsweep.tuning.grid_check import grid_warnings, source_voltage_v
+from seqsweep.tuning.grid_check import grid_warnings, power_limits_w, source_voltage_v
 from seqsweep.tuning.result import TuningResult, confirmed, schema, to_json, write_json
 from seqsweep.tuning.siso import SeriesRL, parse_grid, siso
 from seqsweep.tuning.text import format_table
@@ -245,6 +245,21 @@ def test_grid_of_the_sweep_is_found_in_the_table_s_configuration(tmp_path: Path)
     table = replace(table, meta={**table.meta, "configuration": {"operating_point": [at]}})
     (text,) = tune(table, GRID).points[0].warnings
     assert "belongs to 0.012 + j0.25 ohm, not to 0.0168 + j0.35 ohm" in text
+
+
+def test_a_grid_that_cannot_carry_the_power_has_no_operating_point_and_that_is_said() -> None:
+    """|v| |v_g|/X is the most that a lossless line carries: 690^2/250 = 1.9 kW where milliohm were taken for ohm."""
+    most = 690.0 * 720.0 / 0.5
+    assert power_limits_w(690.0, 720.0, SeriesRL(0.0, 0.5, F1_HZ)) == pytest.approx((-most, most))
+    point = {"active_power_mw": 0.65, "terminal_voltage_pu": 1.0}
+    texts = grid_warnings(point, BASES, SeriesRL(12.0, 250.0, F1_HZ))
+    assert any("is that its unit?" in text for text in texts)
+    assert any("no operating point exists on this grid" in text and "0.00199 MW" in text for text in texts)
+    assert not any("no operating point" in text for text in grid_warnings(point, BASES, GRID))
+    least, most = power_limits_w(690.0, 690.0, GRID)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 400):
+        current = (690.0 - 690.0 * np.exp(1j * angle)) / GRID.at_f1
+        assert least - 1e-6 <= (690.0 * np.conj(current)).real <= most + 1e-6
 
 
 def test_unknown_operating_point_is_no_reason_to_warn() -> None:

@@ -21,7 +21,8 @@ SECTION_KM = 5.0
 """Longest pi section (km)."""
 
 SECTIONS = ("bus", "line", "cable", "series", "transformer", "shunt", "series_capacitor", "source", "device")
-TOP_KEYS = ("name", "f1_hz", *SECTIONS)
+TOP_KEYS = ("name", "f1_hz", "damping", *SECTIONS)
+DAMPING_KEYS = ("r_ohm", "x_ohm", "resonance_hz", "k_max")
 SOURCE_KEYS = ("name", "bus", "voltage_pu", "r_ohm", "x_ohm", "s_sc_mva", "r_over_x")
 DEVICE_KEYS = (
     "name",
@@ -72,6 +73,26 @@ class DeviceEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class DampingEntry:
+    """``[damping]``: what the devices' damping gain k multiplies, and which resonance the control is set to.
+
+    Attributes
+    ----------
+    r_ohm, x_ohm : float or None
+        Impedance at f1 that k multiplies, at the devices' terminals; None: the one that a device sees there.
+    resonance_hz : float or None
+        Signed frequency of the stronger component; None: that of the critical mode above f1.
+    k_max : float
+        Largest gain of a device.
+    """
+
+    r_ohm: float | None = None
+    x_ohm: float | None = None
+    resonance_hz: float | None = None
+    k_max: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
 class FarmEntry:
     """A farm as it is written.
 
@@ -93,6 +114,8 @@ class FarmEntry:
         Its impedance at f1.
     devices : tuple of DeviceEntry
         Those in service.
+    damping : DampingEntry
+        Of their damping control.
     """
 
     name: str
@@ -103,6 +126,7 @@ class FarmEntry:
     source_voltage_v: float
     source_z_ohm: complex
     devices: tuple[DeviceEntry, ...]
+    damping: DampingEntry = DampingEntry()
 
 
 def farm_of(document: Mapping[str, Any], out_of_service: Sequence[str] = ()) -> FarmEntry:
@@ -139,7 +163,9 @@ def farm_of(document: Mapping[str, Any], out_of_service: Sequence[str] = ()) -> 
     )
     if not devices:
         raise FarmError("no [[device]] is in service: there is nothing to judge")
-    farm = FarmEntry(str(document.get("name", "farm")), f1_hz, network, voltages, *source[1:], devices)
+    farm = FarmEntry(
+        str(document.get("name", "farm")), f1_hz, network, voltages, *source[1:], devices, _damping(document)
+    )
     _check_connected(farm)
     return farm
 
@@ -337,6 +363,17 @@ def _device(entry: Mapping[str, Any], k: int, voltages: Mapping[str, float]) -> 
         count=count,
         rating=float(rating),
     )
+
+
+def _damping(document: Mapping[str, Any]) -> DampingEntry:
+    entry = document.get("damping", {})
+    if not isinstance(entry, Mapping):
+        raise FarmError("[damping] is a section of its own, with " + ", ".join(DAMPING_KEYS))
+    _known(entry, DAMPING_KEYS, "damping")
+    for key, value in entry.items():
+        if not isinstance(value, int | float) or isinstance(value, bool) or (key in ("x_ohm", "k_max") and value <= 0):
+            raise FarmError(f"damping: {key} = {value!r}; needed is a number" + (" above 0" if key != "r_ohm" else ""))
+    return DampingEntry(**{key: float(value) for key, value in entry.items()})
 
 
 def _positive(value: Any) -> bool:

@@ -12,7 +12,7 @@ from ...identify.response import FrequencyResponse
 from .document import FarmEntry
 from .judge import FarmVerdict, judge_farm
 from .system import System, system_of
-from .units import FAR, ReadTable, Unit, units_of
+from .units import FAR, Library, ReadTable, Unit, units_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,15 @@ class Farm:
         )
 
 
-def judged(entry: FarmEntry, read: ReadTable) -> Farm:
+def judged(entry: FarmEntry, read: ReadTable | Library) -> Farm:
     """Load flow, fit and verdict.
+
+    Parameters
+    ----------
+    entry : FarmEntry
+        The farm.
+    read : callable or Library
+        File name of a device's table to the table; a `Library` keeps what was fitted for the next farm.
 
     Raises
     ------
@@ -44,8 +51,13 @@ def judged(entry: FarmEntry, read: ReadTable) -> Farm:
         If tables and farm do not fit, or the load flow has no solution.
     """
     units, _ = units_of(entry, read)
+    return judged_with(entry, units)
+
+
+def judged_with(entry: FarmEntry, units: Sequence[Unit]) -> Farm:
+    """Verdict of a farm whose devices are known where they stand."""
     system = system_of(units, entry.network, entry.f1_hz)
-    return Farm(entry, units, system, judge_farm(system))
+    return Farm(entry, tuple(units), system, judge_farm(system))
 
 
 def seen_from_source(farm: Farm, f_hz: Sequence[float] | np.ndarray) -> FrequencyResponse:

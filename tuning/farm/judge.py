@@ -15,6 +15,7 @@ import numpy as np
 
 from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
 from ..verdict import Decision
+from .doubt import doubt_of
 from .locus import Followed, follow
 from .participation import ModeParts, parts_of
 from .system import System
@@ -127,8 +128,8 @@ def _where(system: System, modes: tuple[ModeParts, ...]) -> str:
         return "measure more rows where the devices are active"
     mode = max(modes, key=lambda m: m.pole.real)
     nu = mode.pole.imag / (2.0 * np.pi)
-    heaviest = system.units[int(np.argmax(mode.shares))].key
-    return f"measure {heaviest} closer about {system.f1_hz - nu:.4g}/{system.f1_hz + nu:.4g} Hz"
+    mode_text = f"of the mode at {system.f1_hz - nu:.4g}/{system.f1_hz + nu:.4g} Hz"
+    return f"{mode_text} {doubt_of(system, mode.pole).said(system.f1_hz)}"
 
 
 def _probability(modes: tuple[ModeParts, ...]) -> float:

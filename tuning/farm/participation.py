@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ...identify.fit.rational import evaluate, spread
 from ..network.assembly import Branch, Network
 from .system import System
+from .units import Unit
 
 _STEP = 1e-6  # relative step of the differences; their error is of its square
 
@@ -56,27 +58,45 @@ class ModeParts:
 
 def parts_of(system: System, pole: complex) -> ModeParts:
     """Participation of every device, port and branch in one closed-loop pole, and the pole's covariance."""
-    left, right, slope = _null_vectors(system, pole)
-    y = [u.factor * (u.turn @ evaluate(u.model, np.array([pole]))[0] @ u.turn.T) for u in system.units]
-    places = [system.place(unit) for unit in system.units]
-    devices = [-left[at] @ y_i @ right[at] / slope for at, y_i in zip(places, y, strict=True)]
+    left, right, slope = shape = null_vectors(system, pole)
+    devices = moved_by(system, shape, [own_admittance(unit, pole) for unit in system.units])
     buses = [-left[2 * k : 2 * k + 2] @ right[2 * k : 2 * k + 2] / slope for k in range(len(system.ports))]
     return ModeParts(
         pole=pole,
-        devices=np.array(devices),
+        devices=devices,
         buses=np.array(buses),
         branches=_branches(system, pole, left, right, slope),
-        covariance=_covariance(system, pole, left, right, slope),
+        covariance=_covariance(system, pole, shape),
     )
 
 
-def _null_vectors(system: System, pole: complex) -> tuple[np.ndarray, np.ndarray, complex]:
-    """l, r and l M' r of the nodal matrix at a pole; M' by a difference in the complex plane."""
+class Shape(NamedTuple):
+    """Null vectors of the nodal matrix at a pole, l M = 0 and M r = 0, and l M' r."""
+
+    left: np.ndarray
+    right: np.ndarray
+    slope: complex
+
+
+def null_vectors(system: System, pole: complex) -> Shape:
+    """The shape of a closed-loop pole; M' by a difference in the complex plane."""
     u, _, vh = np.linalg.svd(_nodal(system, np.array([pole]))[0])
     left, right = u[:, -1].conj(), vh[-1].conj()
     h = _STEP * abs(pole)
     ahead, behind = _nodal(system, np.array([pole + h, pole - h]))
-    return left, right, complex(left @ ((ahead - behind) / (2.0 * h)) @ right)
+    return Shape(left, right, complex(left @ ((ahead - behind) / (2.0 * h)) @ right))
+
+
+def moved_by(system: System, shape: Shape, change: Sequence[np.ndarray]) -> np.ndarray:
+    """What a pole (rad/s) moves by when Y of each unit changes by ``change`` (2, 2), alone: (n,) complex."""
+    places = [system.place(unit) for unit in system.units]
+    moved = [-shape.left[at] @ dy @ shape.right[at] / shape.slope for at, dy in zip(places, change, strict=True)]
+    return np.array(moved)
+
+
+def own_admittance(unit: Unit, s: complex) -> np.ndarray:
+    """Ydq (2, 2) in S of a unit in the common frame."""
+    return unit.factor * (unit.turn @ evaluate(unit.model, np.array([s]))[0] @ unit.turn.T)
 
 
 def _nodal(system: System, s: np.ndarray) -> np.ndarray:
@@ -103,65 +123,28 @@ def _scaled(network: Network, k: int, factor: float) -> Network:
     return Network(tuple(branches), network.lines)
 
 
-def _covariance(system: System, pole: complex, left: np.ndarray, right: np.ndarray, slope: complex) -> np.ndarray:
-    """Errors add over tables, not over devices: units with one table share its error, turned into each one's frame."""
+def table_weights(system: System, pole: complex, shape: Shape) -> dict[str, np.ndarray]:
+    """What the pole moves by when the admittance of a table changes by dY, as sum_ij weight_ij dY_ij, by table.
+
+    Units with one table share its error, turned into each one's frame: their weights add before anything is squared.
+    """
     weights: dict[str, np.ndarray] = {}
-    models = {unit.key: unit.model for unit in system.units}
     for unit in system.units:
         at = system.place(unit)
-        weight = -unit.factor * np.outer(unit.turn.T @ left[at], unit.turn.T @ right[at]) / slope
+        weight = -unit.factor * np.outer(unit.turn.T @ shape.left[at], unit.turn.T @ shape.right[at]) / shape.slope
         weights[unit.key] = weights.get(unit.key, np.zeros((2, 2))) + weight
+    return weights
+
+
+def _covariance(system: System, pole: complex, shape: Shape) -> np.ndarray:
+    """Errors add over tables, not over devices."""
+    models = {unit.key: unit.model for unit in system.units}
     total = np.zeros((2, 2))
-    for key, weight in weights.items():
+    for key, weight in table_weights(system, pole, shape).items():
         errors = spread(models[key], np.array([pole]), weight[None])[0]
         effect = np.stack([errors.real, errors.imag])
         total += effect @ effect.T
     return total
-
-
-def least_norm(slopes: np.ndarray, wanted: float, most: float) -> np.ndarray:
-    """The gains (n,) of least sum of squares that move a real part by ``wanted`` (rad/s, negative), to first order.
-
-    Parameters
-    ----------
-    slopes : (n,) float
-        Re d(pole)/dk_i (rad/s).
-    wanted : float
-        Asked change of the real part.
-    most : float
-        Largest gain of a device.
-
-    Notes
-    -----
-    k = mu g with g the slopes; what would pass ``most`` is held there and the others take the rest.
-    """
-    k, free = np.zeros(len(slopes)), np.ones(len(slopes), dtype=bool)
-    for _ in range(len(slopes)):
-        rest = wanted - float(slopes[~free] @ k[~free])
-        size = float(slopes[free] @ slopes[free])
-        k[free] = slopes[free] * rest / size if size > 0.0 else 0.0
-        over = free & (k > most)
-        if not np.any(over):
-            break
-        k[over], free = most, free & ~over
-    return np.clip(k, 0.0, most)
-
-
-def fewest(slopes: np.ndarray, wanted: float, most: float) -> np.ndarray:
-    """Gains (n,) of as few devices as possible: the most effective one first, up to ``most`` each."""
-    k, rest = np.zeros(len(slopes)), wanted
-    for i in np.argsort(slopes):
-        if rest >= 0.0 or slopes[i] >= 0.0:
-            break
-        k[i] = min(most, rest / slopes[i])
-        rest -= k[i] * slopes[i]
-    return k
-
-
-def uniform(slopes: np.ndarray, wanted: float, most: float) -> np.ndarray:
-    """The same gain (n,) for every device."""
-    total = float(np.sum(slopes))
-    return np.full(len(slopes), min(most, max(0.0, wanted / total)) if total < 0.0 else most)
 
 
 def ranked(shares: Sequence[float]) -> list[int]:

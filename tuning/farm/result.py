@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from .advice_text import advice_json
+from .doubt import doubt_of
 from .farm import Farm
 from .participation import ModeParts, ranked
+from .restore import Advice
 
 FORMAT, VERSION = "seqsweep-farm", "1.0.0"
 
@@ -15,7 +19,7 @@ _SHOWN = 3  # modes that a terminal shows
 _Z95 = 1.959963984540054
 
 
-def to_json(farm: Farm) -> dict[str, Any]:
+def to_json(farm: Farm, advice: Sequence[Advice] = ()) -> dict[str, Any]:
     """Everything that was found; NaN and infinity are null."""
     judgement = farm.judgement
     return {
@@ -30,7 +34,24 @@ def to_json(farm: Farm) -> dict[str, Any]:
         "n_unstable_poles": judgement.n_unstable_poles,
         "devices": [_unit_json(farm, k) for k in range(len(farm.units))],
         "modes": [_mode_json(farm, mode) for mode in judgement.modes],
+        "doubt": _doubt_json(farm),
+        "advice": [advice_json(one) for one in advice],
         "warnings": list(farm.warnings),
+    }
+
+
+def _doubt_json(farm: Farm) -> dict[str, Any] | None:
+    """Which measurement the critical mode's error comes from."""
+    mode = farm.judgement.critical
+    if mode is None:
+        return None
+    doubt = doubt_of(farm.system, mode.pole)
+    return {
+        "sigma_std_per_s": doubt.std,
+        "variance_by_table": doubt.by_table,
+        "rows_hz": [list(band) for band in doubt.rows_hz],
+        "variance_by_order": doubt.by_order,
+        "measure": doubt.said(farm.entry.f1_hz),
     }
 
 

@@ -28,7 +28,42 @@ from .loadflow import LoadFlow, load_flow
 FAR = 0.005
 """A terminal voltage further from that of the sweep than this part is warned about."""
 
+KNOWN_TO = 0.3
+"""A surrogate that is less sure of Y than this part of it says nothing about a farm."""
+
 ReadTable = Callable[[str], Table]
+
+
+class Library:
+    """Tables, surrogates and fits, each made once however many farms are judged with them.
+
+    Parameters
+    ----------
+    read : callable
+        File name of a device's table to the table.
+    """
+
+    def __init__(self, read: ReadTable):
+        self.table: ReadTable = cache(read)
+        self._surrogates: dict[str, Surrogate] = {}
+        self._fits: dict[str, tuple[RationalModel, int | None]] = {}
+
+    def surrogate(self, name: str) -> Surrogate:
+        """The surrogate of a table."""
+        if name not in self._surrogates:
+            self._surrogates[name] = build_surrogate(self.table(name).responses)
+        return self._surrogates[name]
+
+    def fitted(self, key: str, response: FrequencyResponse) -> tuple[RationalModel, int | None]:
+        """Model of a response, and how many unstable modes its device has by itself; None if nothing was proved."""
+        if key not in self._fits:
+            self._fits[key] = fitted(response)
+        return self._fits[key]
+
+
+def library_of(read: ReadTable | Library) -> Library:
+    """A library as it is, or one that reads with ``read``."""
+    return read if isinstance(read, Library) else Library(read)
 
 
 class Source(NamedTuple):
@@ -48,8 +83,12 @@ class Unit:
     ----------
     name, bus : str
         As in the farm file.
+    table : str
+        File of its table.
     key : str
         Table and operating point; units with the same key share one fit and its errors.
+    setpoint : (3,) tuple of float
+        P (MW), Q (Mvar) and |v| (pu) of one swept device, as the table gives them; NaN where it does not.
     model : RationalModel
         Y of the swept device in its own frame, d on its terminal voltage.
     factor : float
@@ -70,7 +109,9 @@ class Unit:
 
     name: str
     bus: str
+    table: str
     key: str
+    setpoint: tuple[float, float, float]
     model: RationalModel
     factor: float
     count: int
@@ -87,52 +128,63 @@ class Unit:
         return np.array([[c, -s], [s, c]])
 
 
-def units_of(farm: FarmEntry, read: ReadTable) -> tuple[tuple[Unit, ...], LoadFlow]:
+def units_of(farm: FarmEntry, read: ReadTable | Library) -> tuple[tuple[Unit, ...], LoadFlow]:
     """Load flow of the farm, then every device fitted where it stands.
 
     Parameters
     ----------
     farm : FarmEntry
         The farm.
-    read : callable
-        File name of a device's table to the table.
+    read : callable or Library
+        File name of a device's table to the table; or what was read and fitted before.
 
     Raises
     ------
     FarmError
         If a table does not fit its entry, or the load flow has no solution.
     """
-    read = cache(read)
-    build = cache(lambda name: build_surrogate(read(name).responses))
-    sources = [_source(entry, read, build, farm) for entry in farm.devices]
+    library = library_of(read)
+    sources = [_source(entry, library, farm) for entry in farm.devices]
     flow = load_flow(farm, lambda v: _drawn(farm, sources, v))
-    fitted: dict[str, tuple[RationalModel, int | None]] = {}
-    units = []
-    for k, (entry, source) in enumerate(zip(farm.devices, sources, strict=True)):
-        response, key = _response_at(entry, source, flow, k)
-        if key not in fitted:
-            fitted[key] = _fit(response)
-        model, n_unstable = fitted[key]
-        units.append(
-            Unit(
-                name=entry.name,
-                bus=entry.bus,
-                key=key,
-                model=model,
-                factor=entry.rating * entry.count,
-                count=entry.count,
-                n_unstable=n_unstable,
-                angle_rad=float(np.angle(flow.voltage_v[k])),
-                voltage_v=float(abs(flow.voltage_v[k])),
-                power_va=complex(flow.power_va[k]),
-                off=_off(response, source, float(abs(flow.voltage_v[k]))),
-            )
-        )
-    return tuple(units), flow
+    pairs = zip(farm.devices, sources, flow.voltage_v, flow.power_va, strict=True)
+    return tuple(_unit(library, *pair) for pair in pairs), flow
 
 
-def _source(entry: DeviceEntry, read: ReadTable, build: Callable[[str], Surrogate], farm: FarmEntry) -> Source:
-    table = read(entry.table)
+def flow_of(farm: FarmEntry, library: Library) -> LoadFlow:
+    """The load flow alone."""
+    sources = [_source(entry, library, farm) for entry in farm.devices]
+    return load_flow(farm, lambda v: _drawn(farm, sources, v))
+
+
+def _unit(library: Library, entry: DeviceEntry, source: Source, voltage_v: complex, power_va: complex) -> Unit:
+    response, key = _response_at(entry, source, abs(voltage_v))
+    model, n_unstable = library.fitted(key, response)
+    return Unit(
+        name=entry.name,
+        bus=entry.bus,
+        table=entry.table,
+        key=key,
+        setpoint=_setpoint(response),
+        model=model,
+        factor=entry.rating * entry.count,
+        count=entry.count,
+        n_unstable=n_unstable,
+        angle_rad=float(np.angle(voltage_v)),
+        voltage_v=float(abs(voltage_v)),
+        power_va=complex(power_va),
+        off=_off(response, source, float(abs(voltage_v))),
+    )
+
+
+def _setpoint(response: FrequencyResponse) -> tuple[float, float, float]:
+    meta = response.meta
+    given = (meta.get("active_power_mw"), meta.get("reactive_power_mvar", 0.0), meta.get("terminal_voltage_pu"))
+    p, q, v = (float("nan") if value is None else float(value) for value in given)
+    return p, q, v
+
+
+def _source(entry: DeviceEntry, library: Library, farm: FarmEntry) -> Source:
+    table = library.table(entry.table)
     f1_hz, bases = table.meta["f1_hz"], table.meta["bases"]
     if f1_hz != farm.f1_hz:
         raise FarmError(f"{entry.name}: the table's fundamental is {f1_hz:g} Hz, the farm's {farm.f1_hz:g} Hz")
@@ -144,7 +196,7 @@ def _source(entry: DeviceEntry, read: ReadTable, build: Callable[[str], Surrogat
             f"{farm.voltages_v[entry.bus]:g} V: the device stands behind a transformer, or kV and V are mixed up"
         )
     if entry.active_power_mw is not None:
-        surrogate = build(entry.table)
+        surrogate = library.surrogate(entry.table)
         middle = (surrogate.region.low[2] + surrogate.region.high[2]) / 2.0
         surrogate.check_inside([entry.active_power_mw, entry.reactive_power_mvar, middle], entry.name)
         return Source(entry.table, None, surrogate, bases)
@@ -188,17 +240,24 @@ def _predicted_power(entry: DeviceEntry, surrogate: Surrogate, v_pu: float, volt
     return -np.sqrt(3.0) * voltage_v * held / v_pu * current.conjugate()
 
 
-def _response_at(entry: DeviceEntry, source: Source, flow: LoadFlow, k: int) -> tuple[FrequencyResponse, str]:
+def _response_at(entry: DeviceEntry, source: Source, voltage_v: float) -> tuple[FrequencyResponse, str]:
     if source.surrogate is None:
         assert source.response is not None
         return source.response, source.key
-    v_pu = float(abs(flow.voltage_v[k])) / source.bases["rated_voltage_v"]
+    v_pu = float(voltage_v) / source.bases["rated_voltage_v"]
     point = [entry.active_power_mw or 0.0, entry.reactive_power_mvar, v_pu]
+    known_to = float(np.median(source.surrogate.evaluate(np.array(point)).relative))
+    if known_to > KNOWN_TO:
+        raise FarmError(
+            f"{entry.name}: at {entry.active_power_mw:g} MW and {v_pu:.4g} pu the surrogate of {source.key} knows Y "
+            f"only to {100.0 * known_to:.0f} %: sweep more operating points about there"
+        )
     response = source.surrogate.response(point)
     return response, f"{source.key}:{response.meta['op_id']}"
 
 
-def _fit(response: FrequencyResponse) -> tuple[RationalModel, int | None]:
+def fitted(response: FrequencyResponse) -> tuple[RationalModel, int | None]:
+    """Model of a response and the number of its device's own unstable modes, None if nothing was proved."""
     anchor = anchor_of(response.meta, rows_of(to_dq(response)), response.f1_hz)
     return fit_response(response, n_unstable=anchor.n_unstable), anchor.n_unstable
 
