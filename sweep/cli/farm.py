@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .say import say, tell
-from .shared import Force, WrongInput, check_new, check_outputs, check_suffix
+from .shared import Force, WrongInput, check_new, check_outputs, check_plot, check_suffix
 
 if TYPE_CHECKING:
     from ...tuning.farm.farm import Farm
@@ -37,7 +37,19 @@ def farm(
     table: Annotated[
         Path | None, typer.Option(metavar="FILE.parquet", help="Write the farm's own admittance at the source's bus.")
     ] = None,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Modes and shares: .png, .svg or .pdf.")] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Modes and shares, or with --states their map: .png, .svg or .pdf."),
+    ] = None,
+    diagram: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="One-line diagram with the critical mode drawn on it.")
+    ] = None,
+    states: Annotated[
+        bool, typer.Option("--states", help="Judge every switching state, [[state]] in the file.")
+    ] = False,
+    margin: Annotated[
+        float, typer.Option(metavar="M", help="Margin m at the source from which damping control may stop.")
+    ] = 1.0,
     by: Annotated[
         list[Lever] | None, typer.Option(help="What can be changed: damping gains, powers given up; repeatable.")
     ] = None,
@@ -54,9 +66,12 @@ def farm(
     from ...tuning.farm.result import text_of, to_json
 
     check_outputs(output, force, plot, ".json")
+    check_plot(diagram)
     if table is not None:
         check_new(table, force)
         check_suffix(table, ".parquet")
+    if states:
+        return _all_states(document, out or [], margin, output, plot)
     _check_demand(damping, probability, by)
     library, found = _judged(document, out or [])
     say(text_of(found))
@@ -72,17 +87,45 @@ def farm(
         from ..report.farm import plot_farm
 
         plot_farm(plot, found)
+    if diagram is not None:
+        from ..report.farm_diagram import plot_diagram
+
+        plot_diagram(diagram, found)
 
 
 def _judged(document: Path, out: list[str]) -> tuple[Library, Farm]:
-    from ...identify.table.read import read_table
     from ...tuning.farm.document import farm_of
     from ...tuning.farm.farm import judged
-    from ...tuning.farm.units import Library
 
     entry = farm_of(_read(document), out)
-    library = Library(lambda name: read_table(document.parent / name))
+    library = _library(document)
     return library, judged(entry, library)
+
+
+def _library(document: Path) -> Library:
+    from ...identify.table.read import read_table
+    from ...tuning.farm.units import Library
+
+    return Library(lambda name: read_table(document.parent / name))
+
+
+def _all_states(document: Path, out: list[str], margin: float, output: Path | None, plot: Path | None) -> None:
+    """Every switching state of the farm file: table, JSON and map."""
+    from ...identify.files import write_json
+    from ...tuning.farm.result import states_json, states_text
+    from ...tuning.farm.states import judge_states
+
+    if not margin > 0.0:
+        raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
+    content = _read(document)
+    found = judge_states(content, _library(document), out, margin, tell)
+    say(states_text(found))
+    if output is not None:
+        write_json(output, states_json(str(content.get("name", "farm")), found))
+    if plot is not None:
+        from ..report.farm_states import plot_states
+
+        plot_states(plot, found)
 
 
 def _check_demand(damping: float | None, probability: float, by: list[Lever] | None) -> None:

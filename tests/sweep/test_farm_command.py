@@ -103,3 +103,18 @@ def test_a_wrong_farm_file_is_refused_in_one_line(folder, change, words):
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_states_and_diagram_are_drawn(folder):
+    more = (
+        '\n[[state]]\nname = "weaker"\nsource_scale = [1.0, 1.8]\n\n[[state]]\nname = "out"\neach_out = ["collector"]\n'
+    )
+    (folder / "states.toml").write_text((EXAMPLE / "farm.toml").read_text("utf-8") + more, "utf-8")
+    done = command("farm", folder / "states.toml", "--states", "-o", folder / "s.json", "--plot", folder / "s.svg")
+    assert done.returncode == 0, done.stderr
+    states = json.loads((folder / "s.json").read_text())["states"]
+    assert [len(state["devices"]) for state in states] == [3, 3, 3, 1]
+    assert "weaker, 1.8 Z" in (folder / "s.svg").read_text()
+    done = command("farm", folder / "farm.toml", "--diagram", folder / "d.svg")
+    assert done.returncode == 0, done.stderr
+    assert all(name in (folder / "d.svg").read_text() for name in ("wt1", "row, 35 kV", "source"))

@@ -21,7 +21,7 @@ SECTION_KM = 5.0
 """Longest pi section (km)."""
 
 SECTIONS = ("bus", "line", "cable", "series", "transformer", "shunt", "series_capacitor", "source", "device")
-TOP_KEYS = ("name", "f1_hz", "damping", *SECTIONS)
+TOP_KEYS = ("name", "f1_hz", "damping", "state", *SECTIONS)
 DAMPING_KEYS = ("r_ohm", "x_ohm", "resonance_hz", "k_max")
 SOURCE_KEYS = ("name", "bus", "voltage_pu", "r_ohm", "x_ohm", "s_sc_mva", "r_over_x")
 DEVICE_KEYS = (
@@ -40,6 +40,10 @@ _SHUNTS = ("shunt_capacitor", "shunt_reactor", "filter", "load")
 
 class FarmError(SeqsweepError):
     """A farm that cannot be judged as it is written, with the way out."""
+
+
+class NoLoadFlow(FarmError):
+    """A farm whose network cannot carry the power of its devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,21 +148,44 @@ def farm_of(document: Mapping[str, Any], out_of_service: Sequence[str] = ()) -> 
     FarmError
         With the entry, what was given and what is needed.
     """
-    _known(document, TOP_KEYS, "the farm")
+    farm = _as_written(document, out_of_service)
+    reached = reached_from_source(farm)
+    for device in farm.devices:
+        if device.bus not in reached:
+            raise FarmError(
+                f"{device.name}: bus {device.bus!r} is an island, no equipment in service connects it to the source at "
+                f"{farm.source_bus!r}"
+            )
+    return farm
+
+
+def farm_without_islands(document: Mapping[str, Any], out_of_service: Sequence[str] = ()) -> FarmEntry:
+    """As `farm_of`, but devices that nothing in service connects to the source are out of service."""
+    farm = _as_written(document, out_of_service)
+    reached = reached_from_source(farm)
+    devices = tuple(device for device in farm.devices if device.bus in reached)
+    if not devices:
+        raise FarmError("no [[device]] is connected to the source: there is nothing to judge")
+    return replace(farm, devices=devices)
+
+
+def _as_written(document: Mapping[str, Any], out_of_service: Sequence[str]) -> FarmEntry:
+    """The farm with devices on islands still in it."""
+    known_keys(document, TOP_KEYS, "the farm")
     f1_hz = float(document.get("f1_hz", 50.0))
     voltages = _buses(document)
     _check_names(document, out_of_service)
     elements = [
         _element(entry, section, k, voltages)
         for section in ("line", "cable", "series", "transformer", "series_capacitor", "shunt")
-        for k, entry in enumerate(_entries(document, section), start=1)
+        for k, entry in enumerate(entries_of(document, section), start=1)
         if _in_service(entry, out_of_service)
     ]
     source = _source(document, voltages, f1_hz)
     network = Network((*_branches(elements, voltages, f1_hz), source[0]))
     devices = tuple(
         _device(entry, k, voltages)
-        for k, entry in enumerate(_entries(document, "device"), start=1)
+        for k, entry in enumerate(entries_of(document, "device"), start=1)
         if _in_service(entry, out_of_service)
     )
     if not devices:
@@ -166,21 +193,28 @@ def farm_of(document: Mapping[str, Any], out_of_service: Sequence[str] = ()) -> 
     farm = FarmEntry(
         str(document.get("name", "farm")), f1_hz, network, voltages, *source[1:], devices, _damping(document)
     )
-    _check_connected(farm)
-    return farm
+    return replace(farm, network=_reached(farm))
+
+
+def _reached(farm: FarmEntry) -> Network:
+    """The branches that equipment in service connects to the source; others have no voltage."""
+    reached = reached_from_source(farm)
+    return Network(tuple(branch for branch in farm.network.branches if set(branch.ends) & reached))
 
 
 # Entries -------------------------------------------------------------------------------------------------------------
 
 
-def _entries(document: Mapping[str, Any], section: str) -> list[Mapping[str, Any]]:
+def entries_of(document: Mapping[str, Any], section: str) -> list[Mapping[str, Any]]:
+    """The entries of a section that may be there several times."""
     entries = document.get(section, [])
     if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
         raise FarmError(f"[{section}]: write [[{section}]] in double brackets, there may be several")
     return entries
 
 
-def _known(entry: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
+def known_keys(entry: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
+    """Refuse a key that is not known, with the one that may be meant."""
     for key in entry:
         if key not in keys:
             raise FarmError(f"{where}: unknown key {key!r}{nearest(key, keys)}; known are {', '.join(keys)}")
@@ -191,7 +225,7 @@ def _in_service(entry: Mapping[str, Any], out_of_service: Sequence[str]) -> bool
 
 
 def _check_names(document: Mapping[str, Any], out_of_service: Sequence[str]) -> None:
-    names = [entry["name"] for section in SECTIONS for entry in _entries(document, section) if "name" in entry]
+    names = [entry["name"] for section in SECTIONS for entry in entries_of(document, section) if "name" in entry]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise FarmError(f"the name {twice[0]!r} is there twice; every entry needs its own")
     for name in out_of_service:
@@ -201,8 +235,8 @@ def _check_names(document: Mapping[str, Any], out_of_service: Sequence[str]) -> 
 
 def _buses(document: Mapping[str, Any]) -> dict[str, float]:
     voltages: dict[str, float] = {}
-    for k, entry in enumerate(_entries(document, "bus"), start=1):
-        _known(entry, ("name", "voltage_kv"), f"bus {k}")
+    for k, entry in enumerate(entries_of(document, "bus"), start=1):
+        known_keys(entry, ("name", "voltage_kv"), f"bus {k}")
         name, kv = entry.get("name"), entry.get("voltage_kv", 0.0)
         if not isinstance(name, str) or not _positive(kv):
             raise FarmError(f"bus {k}: needed are a name and voltage_kv, line to line, above 0")
@@ -229,7 +263,7 @@ def _element(entry: Mapping[str, Any], section: str, k: int, voltages: Mapping[s
             raise FarmError(f"{name}: kind = {kind!r}{nearest(kind, _SHUNTS)}; known are {', '.join(_SHUNTS)}")
     ends = ("bus",) if section == "shunt" else ("from", "to")
     of_kind = (*KINDS[kind].needed, *KINDS[kind].optional)
-    _known(entry, ("name", "in_service", "parallel", "kind", *ends, *of_kind), name)
+    known_keys(entry, ("name", "in_service", "parallel", "kind", *ends, *of_kind), name)
     if missing := [key for key in KINDS[kind].needed if key not in entry]:
         raise FarmError(f"{name}: a {kind} needs {', '.join(missing)}")
     for key in of_kind:
@@ -309,14 +343,14 @@ def _source(
     document: Mapping[str, Any], voltages: Mapping[str, float], f1_hz: float
 ) -> tuple[Branch, str, float, complex]:
     """The source's impedance as a branch, its bus, its voltage and its impedance at f1."""
-    entries = _entries(document, "source")
+    entries = entries_of(document, "source")
     if len(entries) != 1:
         raise FarmError(
             f"{len(entries)} [[source]]; needed is exactly one Thevenin source, others are devices or loads"
         )
     entry = entries[0]
     name = str(entry.get("name", "source"))
-    _known(entry, SOURCE_KEYS, name)
+    known_keys(entry, SOURCE_KEYS, name)
     bus = _bus(entry, "bus", name, voltages)
     z = _source_impedance(entry, name, voltages[bus])
     voltage = entry.get("voltage_pu", 1.0)
@@ -342,7 +376,7 @@ def _source_impedance(entry: Mapping[str, Any], name: str, voltage_v: float) -> 
 
 def _device(entry: Mapping[str, Any], k: int, voltages: Mapping[str, float]) -> DeviceEntry:
     name = str(entry.get("name", f"device{k}"))
-    _known(entry, DEVICE_KEYS, name)
+    known_keys(entry, DEVICE_KEYS, name)
     if not isinstance(entry.get("table"), str):
         raise FarmError(f"{name}: table is missing; needed is the file of its admittance")
     count, rating = entry.get("count", 1), entry.get("rating", 1.0)
@@ -369,30 +403,32 @@ def _damping(document: Mapping[str, Any]) -> DampingEntry:
     entry = document.get("damping", {})
     if not isinstance(entry, Mapping):
         raise FarmError("[damping] is a section of its own, with " + ", ".join(DAMPING_KEYS))
-    _known(entry, DAMPING_KEYS, "damping")
+    known_keys(entry, DAMPING_KEYS, "damping")
     for key, value in entry.items():
         if not isinstance(value, int | float) or isinstance(value, bool) or (key in ("x_ohm", "k_max") and value <= 0):
             raise FarmError(f"damping: {key} = {value!r}; needed is a number" + (" above 0" if key != "r_ohm" else ""))
     return DampingEntry(**{key: float(value) for key, value in entry.items()})
 
 
+def checked_number(value: Any, where: str) -> float:
+    """A number above zero."""
+    if not _positive(value):
+        raise FarmError(f"{where} = {value!r}; needed is a number above 0")
+    return float(value)
+
+
 def _positive(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and value > 0.0
 
 
-def _check_connected(farm: FarmEntry) -> None:
-    """Every bus with a device must reach the source."""
+def reached_from_source(farm: FarmEntry) -> set[str]:
+    """The nodes that equipment in service connects to the source."""
     reached, grown = {farm.source_bus}, True
     while grown:
         near = [set(branch.ends) - {GROUND} for branch in farm.network.branches]
         new = {bus for ends in near if ends & reached for bus in ends} - reached
         reached, grown = reached | new, bool(new)
-    for device in farm.devices:
-        if device.bus not in reached:
-            raise FarmError(
-                f"{device.name}: bus {device.bus!r} is an island, no equipment in service connects it to the source at "
-                f"{farm.source_bus!r}"
-            )
+    return reached
 
 
 def without(farm: FarmEntry, names: Sequence[str]) -> FarmEntry:

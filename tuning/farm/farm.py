@@ -61,24 +61,33 @@ def judged_with(entry: FarmEntry, units: Sequence[Unit]) -> Farm:
 
 
 def seen_from_source(farm: Farm, f_hz: Sequence[float] | np.ndarray) -> FrequencyResponse:
-    """The admittance of the whole farm at the source's bus, the source taken away, current into the farm.
+    """The admittance of the whole farm at the source's bus as a response, current into the farm.
+
+    It carries ``stable_on`` the source's impedance where the farm's own verdict on it is "stable", internal modes
+    included.
+    """
+    f, z = np.asarray(f_hz, dtype=float), farm.entry.source_z_ohm
+    fact = {"grid": {"r_ohm": z.real, "x_ohm": z.imag}, "basis": "stated"}
+    known = {"stable_on": fact} if farm.judgement.verdict == "stable" else {}
+    y = admittance_at_source(farm, f)
+    return FrequencyResponse(f, y, farm.entry.f1_hz, meta={"op_id": "farm", **known})
+
+
+def admittance_at_source(farm: Farm, f_hz: np.ndarray) -> np.ndarray:
+    """Ypn (n, 2, 2) in S of the whole farm at the source's bus, the source taken away, at signed frequencies (Hz).
 
     Notes
     -----
-    With the source's impedance Zs in place the bus shows Z_t = (Y + Ys)^-1, so Y = Z_t^-1 - Ys. It carries
-    ``stable_on`` the source's impedance where the farm's own verdict on it is "stable", internal modes included.
+    With the source's impedance Zs in place the bus shows Z_t = (Y + Ys)^-1, so Y = Z_t^-1 - Ys.
     """
-    f = np.asarray(f_hz, dtype=float)
     entry = farm.entry
     system = system_of(farm.units, entry.network, entry.f1_hz, [entry.source_bus])
-    s = 2j * np.pi * (f - entry.f1_hz)
+    s = 2j * np.pi * (f_hz - entry.f1_hz)
     z = system.impedance(s)
     total = np.linalg.solve(np.eye(z.shape[1]) + z @ system.admittance(s), z)
     at = 2 * system.ports.index(entry.source_bus)
     own = np.linalg.inv(total[:, at : at + 2, at : at + 2]) - np.linalg.inv(_source_dq(entry, s))
-    fact = {"grid": {"r_ohm": entry.source_z_ohm.real, "x_ohm": entry.source_z_ohm.imag}, "basis": "stated"}
-    known = {"stable_on": fact} if farm.judgement.verdict == "stable" else {}
-    return FrequencyResponse(f, dq_to_pn(own), entry.f1_hz, meta={"op_id": "farm", **known})
+    return dq_to_pn(own)
 
 
 def _source_dq(entry: FarmEntry, s: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..network.assembly import port_impedance
-from .document import FarmEntry, FarmError
+from .document import FarmEntry, NoLoadFlow
 
 Draw = Callable[[np.ndarray], np.ndarray]
 """Terminal voltages |V| (n,) in V to the complex power (n,) in VA that each device draws."""
@@ -42,13 +42,13 @@ def load_flow(farm: FarmEntry, drawn: Draw) -> LoadFlow:
 
     Raises
     ------
-    FarmError
+    NoLoadFlow
         If there is no solution; the largest part of the power that has one is said.
     """
     open_circuit, z = _seen_from_terminals(farm)
     found = _newton(open_circuit, z, drawn, 1.0, open_circuit)
     if found is None:
-        raise FarmError(
+        raise NoLoadFlow(
             f"{farm.name}: the load flow has no solution: the network cannot carry the power; "
             f"{100.0 * _largest_part(open_circuit, z, drawn):.0f} % of it has one"
         )

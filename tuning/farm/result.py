@@ -12,6 +12,7 @@ from .doubt import doubt_of
 from .farm import Farm
 from .participation import ModeParts, ranked
 from .restore import Advice
+from .states import StateVerdict
 
 FORMAT, VERSION = "seqsweep-farm", "1.0.0"
 
@@ -93,6 +94,61 @@ def _mode_json(farm: Farm, mode: ModeParts) -> dict[str, Any]:
             for branch, value in zip(farm.system.network.branches, mode.branches, strict=True)
         },
     }
+
+
+def states_json(name: str, states: Sequence[StateVerdict]) -> dict[str, Any]:
+    """Every switching state of a farm and what it comes to."""
+    return {
+        "format": f"{FORMAT}-states",
+        "version": VERSION,
+        "farm": name,
+        "states": [_state_json(found) for found in states],
+    }
+
+
+def _state_json(found: StateVerdict) -> dict[str, Any]:
+    farm, state = found.farm, found.state
+    return {
+        "name": state.name,
+        "out": list(state.out),
+        "source_scale": state.source_scale,
+        "devices": [] if farm is None else [{"name": unit.name, "count": unit.count} for unit in farm.units],
+        "verdict": None if farm is None else farm.judgement.verdict,
+        "reason": found.reason,
+        "probability_stable": None if farm is None else farm.judgement.probability,
+        "n_unstable": None if farm is None else farm.judgement.n_unstable_poles,
+        "margin_m": None if found.crossing is None else found.crossing.m,
+        "crossing_hz": None if found.crossing is None else found.crossing.f_hz,
+        "damping_control_may_stop": found.cause_gone,
+        "modes": [] if farm is None else [_mode_json(farm, mode) for mode in farm.judgement.modes],
+    }
+
+
+def states_text(states: Sequence[StateVerdict]) -> str:
+    """States by verdict as a table, within 100 columns."""
+    width = min(34, max(5, *(len(found.state.name) for found in states)))
+    head = f"{'state':<{width}}  devices  verdict             critical mode Hz   sigma 1/s  damping %       m  may stop"
+    lines = [head, "-" * len(head), *(_state_line(found, width) for found in states)]
+    counts = [f"{sum(s.verdict == kind for s in states)} {kind}" for kind in dict.fromkeys(s.verdict for s in states)]
+    legend = "may stop: whether damping control may be switched off there; m: Bode margin at the source's bus"
+    return "\n".join([*lines, "", ", ".join(counts), legend])
+
+
+def _state_line(found: StateVerdict, width: int) -> str:
+    name = found.state.name if len(found.state.name) <= width else found.state.name[: width - 1] + "~"
+    if found.farm is None:
+        return f"{name:<{width}}  {'':>7}  {found.verdict}"
+    n = sum(unit.count for unit in found.farm.units)
+    mode, m = found.farm.judgement.critical, "-" if found.crossing is None else f"{found.crossing.m:.3f}"
+    stop = "yes" if found.cause_gone else "no"
+    if mode is None:
+        return f"{name:<{width}}  {n:7d}  {found.verdict:<18}  {'-':>16}  {'-':>10}  {'-':>9}  {m:>6}  {stop:>8}"
+    nu, f1 = mode.pole.imag / (2.0 * np.pi), found.farm.entry.f1_hz
+    place, damping = f"{f1 - nu:.4g}/{f1 + nu:.4g}", -100.0 * mode.pole.real / abs(mode.pole)
+    return (
+        f"{name:<{width}}  {n:7d}  {found.verdict:<18}  {place:>16}  {mode.pole.real:+10.3f}  {damping:9.2f}  {m:>6}"
+        f"  {stop:>8}"
+    )
 
 
 def text_of(farm: Farm) -> str:
