@@ -26,9 +26,12 @@ BEYOND = 1.5
 EDGE = 1.05
 """A mode this far beyond the band's end still counts as swept."""
 
+_GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _CARRIED = 0.05  # a mode so near to one of the device's own, in widths of that, does not show in the locus
 _BESIDE = 0.05  # relative distance from a pole of no known width within which a mode is its shadow
 _KNOWN = 0.2  # a mode whose place is known no better than to this part of itself is none that the data carry
+_DAMPED = 0.5  # nor one whose damping is not known to a factor of two
+_NEAR_AXIS = 0.02  # unless it is as sure to be next to undamped: to this part of itself
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
 
@@ -67,6 +70,8 @@ class ClosedLoop:
         Index of the resonance: among the oscillating modes that the data carry the least damped one, or if all are
         damped by more than a tenth the one with the largest real part; an unstable one if there is one; None if there
         is none.
+    leading : int or None
+        The same, whether rows surround it or not: a mode that they do not surround is not named, but may decide.
     hole : Hole
         The gap around f1 that has no rows.
     """
@@ -76,6 +81,7 @@ class ClosedLoop:
     covariance: np.ndarray
     beyond: np.ndarray
     critical: int | None
+    leading: int | None
     hole: Hole
 
     @property
@@ -121,26 +127,35 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     covariance = _covariance(model, grid, upper)
     hole = hole_of(model, grid, upper)
     beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
-    critical = _critical(model, upper, np.sqrt(np.trace(covariance, axis1=1, axis2=2)), ~beyond)
-    return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, hole)
+    carried = ~beyond & _carried(model, upper, covariance)
+    swept = np.array([is_swept(model, complex(pole)) for pole in upper], dtype=bool)
+    critical, leading = _resonance(model, upper, carried & swept), _resonance(model, upper, carried)
+    return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, leading, hole)
 
 
-def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray, believed: np.ndarray) -> int | None:
-    """Index of the resonance: the least damped mode, or if all are well damped the one that lasts longest.
+def _carried(model: RationalModel, poles: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Modes (m,) that the data carry.
 
     Not carried are modes that share a place with one of the device's own, which then is uncontrollable from the
-    terminals and the same on every grid, modes whose place is hardly known, and those beyond the band. Slow modes are
-    listed by themselves; one that is unstable with nothing faster counts.
+    terminals and the same on every grid, and modes of which place or damping is hardly known.
     """
-    f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
+    std, std_re = np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.sqrt(covariance[:, 0, 0])
     apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
-    carried = (apart.min(axis=1, initial=np.inf) > _CARRIED) & (std < _KNOWN * np.abs(poles))
     vague = model.poles[model.pole_std.real > np.abs(model.poles.real)]  # of no known width: a row or two hold them up
     beside = np.abs(poles[:, None] - vague) < _BESIDE * np.abs(poles)[:, None]
-    carried &= ~np.any(beside, axis=1)
-    carried &= believed
-    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & carried
-    if np.any((poles.real > 0.0) & carried):
+    damped = std_re < np.maximum(_DAMPED * np.abs(poles.real), _NEAR_AXIS * np.abs(poles))
+    known = (std < _KNOWN * np.abs(poles)) & damped
+    return (apart.min(axis=1, initial=np.inf) > _CARRIED) & known & ~np.any(beside, axis=1)
+
+
+def _resonance(model: RationalModel, poles: np.ndarray, named: np.ndarray) -> int | None:
+    """Index of the resonance: the least damped mode, or if all are well damped the one that lasts longest.
+
+    An unstable one comes first. Slow modes are listed by themselves; one that is unstable with nothing faster counts.
+    """
+    f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
+    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & named
+    if np.any((poles.real > 0.0) & within):
         within &= poles.real > 0.0
     fast = within & (f_hz > RESONANCE_FROM_HZ)
     among = np.flatnonzero(fast if np.any(fast) else within & (poles.real > 0.0))
@@ -153,6 +168,22 @@ def _critical(model: RationalModel, poles: np.ndarray, std: np.ndarray, believed
 def is_beyond(model: RationalModel, poles: np.ndarray) -> np.ndarray:
     """(m,) bool: further from the origin than 1.5 times the highest swept |f - f1|."""
     return np.abs(poles) > BEYOND * 2.0 * np.pi * model.nu_hz[-1]
+
+
+def is_swept(model: RationalModel, pole: complex) -> bool:
+    """Whether usable rows are as close to a mode (rad/s, dq) as their ratio or the mode's width asks.
+
+    The rows nearest to f1 have their mirror images on the other side: a slow or aperiodic mode between them is swept
+    where it is as wide as its distance from them.
+    """
+    nu, width = abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
+    swept = model.nu_hz
+    if nu < swept[0] / EDGE:
+        return bool(swept[0] - nu <= width)
+    if nu > swept[-1] * EDGE:
+        return False
+    above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
+    return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
 
 
 def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:

@@ -24,10 +24,11 @@ _NOISE = 4.0  # loci that differ by less than so many standard errors of the row
 
 
 class Rows(NamedTuple):
-    """The rows of one operating point: folded to positive frequency, and the way between them."""
+    """The rows of one operating point: folded to positive frequency, the way between them, and those left out."""
 
     data: DqData
     local: LocalRational
+    left_out: DqData | None = None
 
 
 class Difference(NamedTuple):
@@ -59,9 +60,11 @@ def believed(rows: Rows, model: RationalModel) -> Rows:
     if len(data.nu_hz) == len(model.nu_hz):
         return rows
     kept = np.abs(data.nu_hz[:, None] - model.nu_hz).min(axis=1) < _SAME * data.nu_hz
-    std = None if data.std is None else data.std[kept]
-    covariance = None if data.covariance is None else data.covariance[kept]
-    return rows_of(DqData(data.nu_hz[kept], data.y[kept], std, covariance))
+    return rows_of(_some(data, kept))._replace(left_out=_some(data, ~kept))
+
+
+def _some(data: DqData, chosen: np.ndarray) -> DqData:
+    return DqData(*(None if column is None else column[chosen] for column in data))
 
 
 def wind_rows(rows: Rows, grid: Grid, around_f1: RationalModel | None = None, hole: Hole | None = None) -> Winding:

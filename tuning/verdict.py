@@ -17,17 +17,17 @@ from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
 from .anchor import Anchor
 from .crossings import Crossing, bode_crossings, critical_crossing
 from .feeding import ACTIVE, activity, is_fed
-from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop, closed_loop_poles, is_beyond
+from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop, closed_loop_poles, is_beyond, is_swept
 from .probability import DECIDED, DECIDED_AT, Doubt, doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
 from .rows import Rows, difference, wind_rows
 from .siso import Grid, check_fundamental, impedance_pn, siso
+from .unseen import Unseen, overruled, unseen
 from .winding import Winding, about, refine_locus, wind
 
 LIGHTLY_DAMPED = 0.05
 """Damping ratio below which a mode must lie inside the swept band to be believed."""
 
-_GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _CLEARLY = 0.3  # part of Y that feeds a wave from which on a device surely does, its hold and delay aside
 _TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
 _UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y that no longer describe the rows
@@ -109,11 +109,12 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
     doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
     by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model, loop.hole).number
-    verdict, reason = _decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows))
+    hidden = unseen(model, rows.data, grid) if stable and rows is not None else None
+    verdict, reason = _decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden))
     return Stability(
         verdict=verdict,
         reason=reason,
-        probability=doubtful.probability,
+        probability=doubtful.probability * (1.0 if hidden is None else hidden.harmless),
         winding=winding,
         n_open_loop_unstable=model.n_unstable,
         n_unstable_by_rows=by_rows,
@@ -191,6 +192,7 @@ class Case:
     rows: Rows | None
     anchor: Anchor | None
     by_rows: int | None
+    hidden: Unseen | None
 
     @property
     def stable(self) -> bool:
@@ -211,6 +213,8 @@ def _decide(case: Case) -> tuple[Decision, str]:
         _open_end,
         _judges_disagree,
         _swept_grid_denies,
+        _left_out_row_denies,
+        _may_hide,
         _improbable,
         _unswept,
         _grid_unmeasured,
@@ -328,6 +332,31 @@ def _swept_grid_denies(case: Case) -> str:
     )
 
 
+def _left_out_row_denies(case: Case) -> str:
+    """A row that does not agree with its neighbours is an error or a mode; only another one beside it can tell."""
+    if case.rows is None or case.rows.left_out is None or not case.stable:
+        return ""
+    nu_hz = overruled(case.model, case.rows.left_out, case.grid)
+    if nu_hz is None:
+        return ""
+    return (
+        f"the row at {_place(case.model, nu_hz)} does not agree with its neighbours and was left out; if it is right, "
+        "it decides: measure it again, and more points beside it"
+    )
+
+
+def _may_hide(case: Case) -> str:
+    """A mode narrower than the distance of the rows would make the loop unstable."""
+    if case.hidden is None or not case.hidden.is_shown:
+        return ""
+    place = _place(case.model, case.hidden.nu_hz)
+    what = "do not exclude" if case.hidden.in_gap else "ask for"
+    return (
+        f"the rows around {place} {what} a mode narrower than their distance, which would make the loop unstable: "
+        "measure more points there"
+    )
+
+
 def _improbable(case: Case) -> str:
     """Too near the edge for what is known of Y."""
     at = case.doubt
@@ -425,23 +454,7 @@ def _decisive(case: Case) -> list[int]:
         return [int(k) for k in np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)]
     within = loop.f_hz < EDGE * case.model.nu_hz[-1]
     light = np.flatnonzero((loop.damping < LIGHTLY_DAMPED) & within).tolist()
-    return sorted({*light, *([] if loop.critical is None else [loop.critical])})
-
-
-def is_swept(model: RationalModel, pole: complex) -> bool:
-    """Whether usable rows are as close to a mode (rad/s, dq) as their ratio or the mode's width asks.
-
-    The rows nearest to f1 have their mirror images on the other side: a slow or aperiodic mode between them is swept
-    where it is as wide as its distance from them.
-    """
-    nu, width = abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
-    swept = model.nu_hz
-    if nu < swept[0] / EDGE:
-        return bool(swept[0] - nu <= width)
-    if nu > swept[-1] * EDGE:
-        return False
-    above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
-    return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
+    return sorted({*light, *([] if loop.leading is None else [loop.leading])})
 
 
 def _is_fed(case: Case, nu_hz: float) -> bool:

@@ -132,20 +132,25 @@ def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndar
     return np.concatenate([*by_pole, coefficients.reshape(len(s), -1)], axis=1)
 
 
+def row_slopes(model: RationalModel) -> np.ndarray:
+    """Derivatives (8 n, k) of the weighted rows with respect to the real parameters; of a row re of four, then im."""
+    s = 2j * np.pi * model.nu_hz
+    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
+    slopes = np.stack([gradient(model, s, np.broadcast_to(u, (len(s), 2, 2))) for u in units], axis=1)
+    slopes = slopes * model.weight[:, :, None]
+    return np.concatenate([slopes.real, slopes.imag], axis=1).reshape(2 * ELEMENTS * len(s), -1)
+
+
 def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
     """What every fitted row contributes to the variance of ``g @ parameters``: (n,), adding up to one.
 
     The noise is taken as the weights have it, uncorrelated between elements.
     """
-    s = 2j * np.pi * model.nu_hz
-    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
-    slopes = np.stack([gradient(model, s, np.broadcast_to(u, (len(s), 2, 2))) for u in units], axis=1)
-    slopes = slopes * model.weight[:, :, None]
-    jacobian = np.concatenate([slopes.real, slopes.imag], axis=1).reshape(-1, len(g))
+    jacobian = row_slopes(model)
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0.0] = 1.0
     lever = np.linalg.lstsq((jacobian / size).T, g / size, rcond=1e-12)[0]
-    share = np.sum(lever.reshape(len(s), -1) ** 2, axis=1)
+    share = np.sum(lever.reshape(len(model.nu_hz), -1) ** 2, axis=1)
     return share / np.sum(share)
 
 
