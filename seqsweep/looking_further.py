@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from .plant.errors import SeqsweepError
 from .sweep.bank.judge import judge_bank
 from .sweep.farm_sweeps import gain_advice, power_advice
 from .tables import as_table
-from .tuning.bank.entries import bank_of
+from .tuning.bank.entries import check_single, read_bank
 from .tuning.bank.judgement import PairVerdict
 from .tuning.farm.document import farm_of
 from .tuning.farm.farm import Farm, judged
@@ -66,11 +67,15 @@ def judge(
         Workers; as many as there are processors unless given.
     """
     table = as_table(y)
+    bank = read_bank(Path(grids))
+    check_single(bank, table.responses[0].f1_hz)
+    for remark in bank.remarks:
+        warnings.warn(remark, stacklevel=2)
     return judge_bank(
         table.responses,
         table.meta.get("bases", {}),
         "",  # nothing is kept on the disk, so nothing need be told apart
-        bank_of(Path(grids)),
+        bank.entries,
         output=None,
         jobs=jobs or os.cpu_count() or 1,
         elements=elements,

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from .say import columns, say
+from .say import columns, say, tell
 from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
 
 LINE_S = 5.0
@@ -40,7 +40,7 @@ def judge(
 ) -> None:
     """Every operating point on every grid of a bank, the worst first. Interrupted, the same command goes on."""
     from ...identify.table.read import read_table
-    from ...tuning.bank.entries import bank_of
+    from ...tuning.bank.entries import check_single, read_bank
     from ...tuning.tune import chosen
     from ..bank.judge import judge_bank
     from ..bank.report import report_text
@@ -49,7 +49,11 @@ def judge(
     check_outputs(output, force, plot, ".parquet")
     content = as_told(read_table(table), stable_on, exclude or ())
     responses = chosen(content.responses, op)
-    entries = bank_of(grids)
+    bank = read_bank(grids, table)
+    entries = bank.entries
+    for remark in bank.remarks:
+        tell(remark)
+    check_single(bank, responses[0].f1_hz)
     digest = f"{content.meta['sha256']} {stable_on} {exclude} {[r.meta.get('op_id') for r in responses]}"
     verdicts = judge_bank(
         responses,

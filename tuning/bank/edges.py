@@ -146,22 +146,27 @@ def _edge_of(model: RationalModel, with_value: Callable[[float], Grid], value: f
         poles = closed_loop_poles(model, with_value(value * ratio))
         return float(poles.real[~is_beyond(model, poles)].max(initial=-np.inf))
 
-    brackets = []
-    for step in (1.25, 0.8):
-        inner = 1.0
-        for _ in range(8):
-            outer = inner * step
-            try:
-                beyond = rightmost(outer)
-            except (GridError, np.linalg.LinAlgError):
-                break
-            if (beyond > 0.0) == stable:
-                brackets.append((abs(np.log(outer)), inner, outer))
-                break
-            inner = outer
+    brackets = [found for step in (1.25, 0.8) if (found := _bracket(rightmost, step, stable)) is not None]
     if not brackets:
         return None
     from scipy.optimize import brentq
 
-    _, inner, outer = min(brackets)
-    return float(value * brentq(rightmost, inner, outer, xtol=1e-6, rtol=1e-6))
+    inner, outer = min(brackets, key=lambda ends: abs(np.log(ends[1])))
+    try:
+        return float(value * brentq(rightmost, inner, outer, xtol=1e-6, rtol=1e-6))
+    except (GridError, ValueError, np.linalg.LinAlgError):  # a member between cannot be made, or stands on the edge
+        return None
+
+
+def _bracket(rightmost: Callable[[float], float], step: float, stable: bool) -> tuple[float, float] | None:
+    """Ratios in powers of ``step`` between which the rightmost pole changes sides; None if it does not in reach."""
+    inner = 1.0
+    for _ in range(8):
+        outer = inner * step
+        try:
+            if (rightmost(outer) > 0.0) == stable:
+                return inner, outer
+        except (GridError, np.linalg.LinAlgError):
+            return None
+        inner = outer
+    return None

@@ -6,18 +6,20 @@ An entry is small and not yet opened: a file that cannot be read costs its own r
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..grids.errors import GridError
+from ...identify.table.format import FORMAT as TABLE_FORMAT
+from ..grids.errors import GridError, NotAGrid, refuse_other_document, refuse_other_format
 from ..grids.open import GRID_SUFFIXES, grid_of_document, open_file, read_document
 from ..grids.promise import Grid
 from ..grids.regions import RegionGrid
-from ..grids.tables import ZTable, grid_of_table
+from ..grids.tables import ZTable, format_of_json, grid_of_table
 
 MOST_MEMBERS = 100_000
 """Most grids that a family makes."""
@@ -70,8 +72,38 @@ class BankEntry:
         return open_file(self.file, f1_hz)
 
 
+class Bank(NamedTuple):
+    """What a folder or file holds.
+
+    Attributes
+    ----------
+    entries : tuple of BankEntry
+        Its grids, not yet opened.
+    remarks : tuple of str
+        What was left out, and what was taken for a grid that may be meant for something else.
+    is_folder : bool
+        Whether they are the files of a folder.
+    """
+
+    entries: tuple[BankEntry, ...]
+    remarks: tuple[str, ...] = ()
+    is_folder: bool = False
+
+
 def bank_of(path: str | Path) -> tuple[BankEntry, ...]:
-    """The entries of a folder, of one file with many grids, or of a single grid's file.
+    """The entries of `read_bank`."""
+    return read_bank(path).entries
+
+
+def read_bank(path: str | Path, device: Path | None = None) -> Bank:
+    """The grids of a folder, of one file with many grids, or of a single grid's file.
+
+    Parameters
+    ----------
+    path : path
+        Folder or file.
+    device : path or None
+        The table of the device that is to be judged: in a folder of grids it is no grid.
 
     Raises
     ------
@@ -81,38 +113,71 @@ def bank_of(path: str | Path) -> tuple[BankEntry, ...]:
     path = Path(path)
     if not path.exists():
         raise GridError(f"{path}: no such file or folder")
-    if path.is_dir():
-        entries = tuple(_of_folder(path))
-    elif path.suffix.lower() == ".parquet":
-        entries = tuple(_of_parquet(path))
-    elif path.suffix.lower() == ".toml" and "family" in (document := read_document(path)):
-        entries = tuple(family(document, str(path)))
-    else:
-        entries = (BankEntry(path.name, str(path)),)
-    if not entries:
-        raise GridError(f"{path}: the bank is empty; a grid has one of the suffixes {', '.join(GRID_SUFFIXES)}")
-    return _named_once(entries)
+    bank = _of_folder(path, device) if path.is_dir() else Bank(_of_file(path, str(path)))
+    if not bank.entries:
+        others = "".join(f"; {remark}" for remark in bank.remarks)
+        raise GridError(f"{path}: the bank is empty{others}; a grid has one of the suffixes {', '.join(GRID_SUFFIXES)}")
+    return bank._replace(entries=_named_once(bank.entries))
 
 
-def _of_folder(path: Path) -> Iterator[BankEntry]:
+def check_single(bank: Bank, f1_hz: float) -> None:
+    """Refuse a grid that was named by itself and is none: a wrong call, not one bad file of many.
+
+    Raises
+    ------
+    SeqsweepError
+        With what is wrong with it.
+    """
+    if len(bank.entries) == 1 and not bank.is_folder:
+        bank.entries[0].open(f1_hz)
+
+
+def _of_file(path: Path, place: str) -> tuple[BankEntry, ...]:
+    """The grids of a file, named as they are in it; messages begin with ``place``."""
+    if path.suffix.lower() == ".parquet":
+        return tuple(_of_parquet(path))
+    if path.suffix.lower() == ".toml":
+        document = read_document(path)
+        refuse_other_document(document, place)
+        if "family" in document:
+            return tuple(family(document, place))
+    if path.suffix.lower() == ".json":
+        refuse_other_format(format_of_json(path), place)
+    return (BankEntry(path.name, str(path)),)
+
+
+def _of_folder(path: Path, device: Path | None) -> Bank:
     """Every file of a known suffix, sub-folders included; a family or a Parquet file stands for its members."""
+    entries: list[BankEntry] = []
+    remarks: list[str] = []
     for file in sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in GRID_SUFFIXES):
         name = str(file.relative_to(path))
-        try:
-            if file.suffix.lower() == ".parquet":
-                yield from (_renamed(entry, f"{name}#{entry.grid_id}") for entry in _of_parquet(file))
-                continue
-            if file.suffix.lower() == ".toml" and "family" in (document := read_document(file)):
-                yield from (_renamed(entry, f"{name}#{entry.grid_id}") for entry in family(document, name))
-                continue
-        except GridError as error:
-            yield BankEntry(name, str(file), problem=str(error))
+        if device is not None and file.samefile(device):
+            remarks.append(f"{name} is the device's own table and was left out")
             continue
-        yield BankEntry(name, str(file))
+        try:
+            found = _of_file(file, name)
+        except NotAGrid as error:
+            remarks.append(f"left out: {error}")
+        except GridError as error:
+            entries.append(BankEntry(name, str(file), problem=str(error)))
+        else:
+            if len(found) == 1 and found[0].grid_id == file.name:
+                entries.append(replace(found[0], grid_id=name))
+                continue
+            entries += [replace(entry, grid_id=f"{name}#{entry.grid_id}") for entry in found]
+            remarks += _taken_for_sources(name, found)
+    return Bank(tuple(entries), tuple(remarks), is_folder=True)
 
 
-def _renamed(entry: BankEntry, grid_id: str) -> BankEntry:
-    return BankEntry(grid_id, entry.file, entry.document, entry.table, entry.parameters)
+def _taken_for_sources(name: str, found: Sequence[BankEntry]) -> list[str]:
+    """A word on a table of devices, whose operating points are grids where they are given as such."""
+    if not found or not all("#" in entry.file for entry in found):
+        return []
+    n = len(found)
+    taken = "its operating point was taken for a measured source" if n == 1 else ""
+    taken = taken or f"its {n} operating points were taken for measured sources"
+    return [f"{name} is a table of seqsweep: {taken}, to stand on as a grid"]
 
 
 def _named_once(entries: Sequence[BankEntry]) -> tuple[BankEntry, ...]:
@@ -136,6 +201,7 @@ def _of_parquet(path: Path) -> Iterator[BankEntry]:
     except (pa.ArrowException, OSError) as error:
         raise GridError(f"{path}: not a Parquet file: {error}") from None
     names = set(table.column_names)
+    refuse_other_format(_format_of(table.schema.metadata), str(path))
     if {"op_id", "y_pp_re"} <= names:
         for op_id in dict.fromkeys(table.column("op_id").to_pylist()):
             yield BankEntry(str(op_id), f"{path}#{op_id}")
@@ -149,6 +215,16 @@ def _of_parquet(path: Path) -> Iterator[BankEntry]:
     for grid_id in dict.fromkeys(ids.tolist()):
         at = ids == grid_id
         yield BankEntry(grid_id, table=ZTable(f[at], r[at] + 1j * x[at], None if std is None else std[at]))
+
+
+def _format_of(metadata: Mapping[bytes, bytes] | None) -> Any:
+    """The format that a Parquet file of ours says in its metadata; ours that hold a device are no matter here."""
+    try:
+        about = json.loads((metadata or {}).get(b"seqsweep", b"{}"))
+    except ValueError:
+        return None
+    name = about.get("format") if isinstance(about, Mapping) else None
+    return None if name == TABLE_FORMAT else name
 
 
 # A family ------------------------------------------------------------------------------------------------------------

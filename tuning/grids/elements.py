@@ -14,7 +14,10 @@ from .document import KINDS, PCC, elements_of, in_service, network_of
 from .errors import GridError
 from .promise import OnePort
 from .rational import RationalGrid
-from .scalar_fit import fit_impedance
+from .scalar_fit import fit_closed_form
+
+PER_RESONANCE = 10.0
+"""Frequencies at which a distributed line is evaluated from one of its resonances to the next."""
 
 CABLE_BAND_HZ = (0.05, 5000.0)
 """Band (Hz) in which a network with distributed lines is represented."""
@@ -110,7 +113,7 @@ class CableGrid(OnePort):
         object.__setattr__(self, "network", network)
         f_hz = _cable_frequencies(network)
         z = self.closed_form(2j * np.pi * f_hz) / self.scale
-        states = fit_impedance(f_hz, z, self.f1_hz)
+        states = fit_closed_form(f_hz, z, self.f1_hz)
         if not states.misfit < CABLE_MISFIT:
             raise GridError(
                 f"{self.name or 'grid'}: its distributed lines have too many resonances below {f_hz[-1]:g} Hz for a "
@@ -204,10 +207,11 @@ def _check_connected(grid: ElementsGrid) -> None:
 
 
 def _cable_frequencies(network: Network) -> np.ndarray:
-    """Rows close enough to resolve every resonance of the lines: tens of them per quarter wave."""
+    """Rows close enough to resolve every resonance of the lines, which lie half a wave apart."""
     low, high = CABLE_BAND_HZ
     delays = sum(line.length_km * np.sqrt(line.l_h_km * line.c_f_km) for line in network.lines)
-    linear = np.arange(1, 1 + int(np.ceil(16.0 * high * 4.0 * delays))) * (1.0 / (16.0 * 4.0 * delays))
+    step = 1.0 / (PER_RESONANCE * 2.0 * delays)
+    linear = step * np.arange(1, 1 + int(np.ceil(high / step)))
     return np.unique(np.concatenate([np.geomspace(low, high, 160), linear[linear < high]]))
 
 

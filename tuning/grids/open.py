@@ -13,7 +13,7 @@ from ...identify.fit.rational import RationalModel
 from ...plant.errors import place_of
 from ..poles import closed_loop_poles, is_beyond
 from .elements import elements_grid
-from .errors import GridError
+from .errors import GridError, refuse_other_document
 from .promise import Grid
 from .regions import RegionGrid, regions_grid
 from .response import ResponseGrid
@@ -80,6 +80,7 @@ def read_document(path: Path) -> dict[str, Any]:
 
 def grid_of_document(document: Mapping[str, Any], f1_hz: float, name: str, place: str) -> Grid | RegionGrid:
     """The grid of a document with elements or regions; messages begin with ``place``."""
+    refuse_other_document(document, place)
     try:
         if "region" in document:
             return regions_grid(document, f1_hz, name)

@@ -36,6 +36,8 @@ NOISE_FREE = 1e-8
 _EXACT = 1e-13  # misfit of rows without noise below which nothing counts
 _ROUNDED = 5e-7  # the same for others, as a part of |z|: the last digits of a table are no resonances
 _SPARE = 4  # rows beyond the parameters that make a small misfit mean something
+_MOST_TERMS = 250  # of the interpolant of a closed form: 300 km of cable with all their resonances take 100
+_IDLE = 1e-9  # part of |z| by which a closed form misses none of its real poles: they are rounding
 _STAGES = (8, 14, 24, 40, 64, 90)  # degrees of the interpolant
 _INTERPOLATED = 1e-9  # its error, relative to the largest value, that leaves no room for noise
 _NOISY = 0.1  # below this part an error that no longer falls is noise
@@ -105,6 +107,26 @@ def fit_impedance(
         trial = _supported(rows, _pruned(rows, _settled(rows, _grown(rows, size))), size)
     trial = _settled(rows, trial)
     return _finished(rows, trial, f1_hz, name, size, std is not None)
+
+
+def fit_closed_form(f_hz: np.ndarray, z: np.ndarray, f1_hz: float) -> RationalGrid:
+    """Rational z(s) of values without any error, as of a distributed line: an interpolant, whatever its degree.
+
+    Parameters
+    ----------
+    f_hz : (n,) float
+        Frequencies above zero, ascending (Hz), close enough to resolve every resonance.
+    z : (n,) complex
+        Impedance (ohm).
+    f1_hz : float
+        Fundamental (Hz).
+    """
+    size = np.abs(z)
+    rows = _Rows(2j * np.pi * f_hz, z, 1.0 / size, _EXACT)
+    poles, _ = _interpolant(rows, min(_MOST_TERMS, len(f_hz) - 2), _EXACT)
+    free, at_zero = (_without_idle(rows, _kept(rows, size, poles, with_one)) for with_one in (False, True))
+    trial = at_zero if at_zero.rms < 0.1 * free.rms else free  # a series capacitor's pole, where there is one
+    return _finished(rows, trial, f1_hz, "", size, False)
 
 
 # The linear part -----------------------------------------------------------------------------------------------------
@@ -203,24 +225,28 @@ def _interpolating_poles(rows: _Rows) -> np.ndarray | None:
 
     In stages, because noise stops every one of them: where the error has come to rest low, it is noise.
     """
+    for most in (k for k in _STAGES if k <= len(rows.s) - 2):
+        poles, errors = _interpolant(rows, most, 1e-12)
+        if errors[-1] < _INTERPOLATED:
+            return poles
+        if errors[-1] < _NOISY and errors[-1] > 0.2 * errors[most // 2]:
+            return None
+    return None
+
+
+def _interpolant(rows: _Rows, most: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Poles (rad/s) of an interpolant of so many terms, and its error after each, as a part of the largest value."""
     from scipy.interpolate import AAA
 
     a = float(np.exp(np.mean(np.log(np.abs(rows.s)))))  # z grows with s; divided by s + a it does not
     values = rows.z / (rows.s + a)
     points, both = np.concatenate([rows.s, rows.s.conj()]) / a, np.concatenate([values, values.conj()])
-    top = float(np.abs(values).max())
-    for most in (k for k in _STAGES if k <= len(rows.s) - 2):
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            found = AAA(points, both, rtol=1e-12, max_terms=most, clean_up=False)
-            poles = found.poles() * a
-        error = float(found.errors[-1]) / top
-        if error < _INTERPOLATED:
-            poles = poles[np.isfinite(poles) & (np.abs(poles + a) > 1e-6 * a)]
-            return poles[np.abs(poles) < 1e3 * np.abs(rows.s).max()]
-        if error < _NOISY and error > 0.2 * float(found.errors[most // 2]) / top:
-            return None
-    return None
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        found = AAA(points, both, rtol=tolerance, max_terms=most, clean_up=False)
+        poles = found.poles() * a
+    poles = poles[np.isfinite(poles) & (np.abs(poles + a) > 1e-6 * a)]
+    return poles[np.abs(poles) < 1e3 * np.abs(rows.s).max()], found.errors / np.abs(values).max()
 
 
 def _kept(rows: _Rows, size: np.ndarray, poles: np.ndarray, at_zero: bool) -> _Trial:
@@ -230,6 +256,14 @@ def _kept(rows: _Rows, size: np.ndarray, poles: np.ndarray, at_zero: bool) -> _T
     trial = _solved(rows, _stable(poles), at_zero)
     trial = _moved(rows, _significant(rows, trial, size), at_zero)
     return _moved(rows, _significant(rows, trial, size), at_zero)
+
+
+def _without_idle(rows: _Rows, trial: _Trial) -> _Trial:
+    """Without the real poles that nothing is lost with: two close ones cancel each other, or the pole at zero."""
+    for pole in trial.poles[trial.poles.imag == 0.0]:
+        tried = _solved(rows, trial.poles[trial.poles != pole], trial.at_zero)
+        trial = tried if tried.rms < max(_IDLE, trial.rms) else trial
+    return trial
 
 
 def _significant(rows: _Rows, trial: _Trial, size: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .columns import Heading, frequency_of, heading_of, impedance_of
-from .errors import GridError
+from .errors import GridError, refuse_other_format
 from .passivity import checked_passive
 from .rational import RationalGrid
 from .scalar_fit import MIN_ROWS, fit_impedance
@@ -191,8 +191,18 @@ def _of_mat(path: Path, f1_hz: float) -> ZTable:
     return _of_columns([heading_of(name) for name in vectors], list(vectors.values()), f1_hz, str(path), ())
 
 
+def format_of_json(path: Path) -> Any:
+    """The format that a JSON file says it has; None where it says none, or is no JSON."""
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError):
+        return None
+    return content.get("format") if isinstance(content, Mapping) else None
+
+
 def _of_probe(path: Path) -> ZTable:
     """The lines that `seqsweep grid -o` wrote, of the first operating point that has them."""
+    refuse_other_format(format_of_json(path), str(path))
     try:
         content: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
         points = [p for p in content["operating_points"] if p.get("lines")]

@@ -136,6 +136,26 @@ def test_the_command_writes_rows_as_documented_and_a_picture_and_tells_a_bad_gri
     assert not shards.folder_of(output).exists()
 
 
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("campaign.toml", "is a campaign, not a grid"),
+        ("farm.toml", "is the network of a farm"),
+        ("negative.toml", "not negative"),
+    ],
+)
+def test_one_file_that_is_no_grid_is_a_wrong_call(file: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "campaign.toml").write_text('[plant]\nid = "branch-v1"\n')
+    (tmp_path / "farm.toml").write_text('[[bus]]\nname = "a"\n')
+    (tmp_path / "negative.toml").write_text('[[element]]\nkind = "series"\nr_ohm = -1.0\nx_ohm = 0.2\n')
+    table = tmp_path / "y.parquet"
+    write_table(table, responses(), metadata("p0.4", "p0.65"))
+    said = call("judge", table, "--grids", tmp_path / file)
+    assert said.returncode == 2
+    assert words in said.stderr
+    assert len(said.stderr.splitlines()) == 1
+
+
 @pytest.mark.parametrize("what", ["nothing", "empty"])
 def test_a_bank_that_is_none_ends_with_status_2(what: str, tmp_path: Path) -> None:
     table = tmp_path / "y.parquet"

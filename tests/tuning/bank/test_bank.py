@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,10 @@ import pytest
 
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.bank.edges import element_edges, scale_at_the_edge
-from seqsweep.tuning.bank.entries import BankEntry, bank_of
+from seqsweep.tuning.bank.entries import BankEntry, bank_of, check_single, read_bank
 from seqsweep.tuning.bank.judgement import judge_pair
 from seqsweep.tuning.grids.elements import elements_grid, varied
-from seqsweep.tuning.grids.errors import GridError
+from seqsweep.tuning.grids.errors import GridError, NotAGrid
 from seqsweep.tuning.tune import Device, fitted
 from tests.support import oracle
 from tests.support.networks import KINDS, impedance_of, near_critical, random_document, rightmost
@@ -170,6 +171,105 @@ def test_an_empty_bank_and_a_missing_one_are_refused(tmp_path: Path) -> None:
         bank_of(tmp_path)
     with pytest.raises(GridError, match="no such file"):
         bank_of(tmp_path / "nothing")
+
+
+def test_files_of_other_kinds_are_named_and_are_no_grids(tmp_path: Path) -> None:
+    """A campaign, a farm, a manifest and the device's own table beside one grid; a table of another device is taken."""
+    (tmp_path / "line.toml").write_text('[[element]]\nkind = "series"\nr_ohm = 0.012\nx_ohm = 0.25\n')
+    (tmp_path / "campaign.toml").write_text('[plant]\nid = "branch-v1"\n[sweep]\npoints = 5\n')
+    (tmp_path / "farm.toml").write_text('[[bus]]\nname = "a"\n[[source]]\nbus = "a"\n')
+    (tmp_path / "manifest.json").write_text('{"format": "seqsweep-manifest"}')
+    for name in ("own", "other"):
+        pq.write_table(pa.table({"op_id": ["p"], "y_pp_re": [1.0]}), tmp_path / f"{name}.parquet")
+    bank = read_bank(tmp_path, tmp_path / "own.parquet")
+    assert [entry.grid_id for entry in bank.entries] == ["line.toml", "other.parquet#p"]
+    said = " ".join(bank.remarks)
+    for words in (
+        "campaign.toml is a campaign, not a grid",
+        "farm.toml is the network of a farm",
+        "manifest.json is no grid: its format is seqsweep-manifest",
+        "own.parquet is the device's own table",
+        "other.parquet is a table of seqsweep: its operating point was taken for a measured source",
+    ):
+        assert words in said
+    check_single(bank, F1_HZ)
+    for name in ("campaign.toml", "farm.toml", "manifest.json"):
+        with pytest.raises(NotAGrid, match=r"not a grid|no grid"):
+            check_single(read_bank(tmp_path / name), F1_HZ)
+
+
+def scan(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]], place: Path, n: int = 60) -> Path:
+    """A file with Z(f) of a compensated line that has been changed."""
+    document = {"element": [LINE, {"kind": "series_capacitor", "x_ohm": 0.05}]}
+    f = np.geomspace(1.0, 2500.0, n)
+    f, z = change(f, impedance_of(document, 2j * np.pi * f))
+    lines = [f"{a:.17g},{b.real:.17g},{b.imag:.17g}" for a, b in zip(f, z, strict=True)]
+    place.write_text("f [Hz],R [ohm],X [ohm]\n" + "\n".join(lines))
+    return place
+
+
+LINE = {"kind": "series", "r_ohm": 0.012, "x_ohm": 0.25}
+BAD_TABLES = {
+    "an angle turned round": (lambda f, z: (f, -z.conj()), "the resistance is negative at"),
+    "an active stretch": (lambda f, z: (f, z - 0.1 * np.exp(-((f - 300.0) ** 2) / 5e3)), "negative at"),
+    "rows that contradict each other": (lambda f, z: (np.append(f, f[9]), np.append(z, 2.0 * z[9])), "contradict"),
+    "noise alone": (
+        lambda f, z: (f, z * np.exp(0.3j * np.random.default_rng(1).standard_normal(len(f)))),
+        "no rational function",
+    ),
+    "too few rows": (lambda f, z: (f[:5], z[:5]), "needs at least"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_TABLES)
+def test_a_table_that_is_no_passive_grid_is_refused_in_one_message(kind: str, tmp_path: Path) -> None:
+    change, words = BAD_TABLES[kind]
+    with pytest.raises(GridError, match=words) as refused:
+        bank_of(scan(change, tmp_path / "z.csv"))[0].open(F1_HZ)
+    assert "z.csv" in str(refused.value)
+
+
+def test_rows_that_are_there_twice_count_once(tmp_path: Path, device: Device) -> None:
+    once = judge_pair(device, bank_of(scan(lambda f, z: (f, z), tmp_path / "once.csv"))[0], BASES)
+    twice = judge_pair(device, bank_of(scan(lambda f, z: (np.tile(f, 2), np.tile(z, 2)), tmp_path / "b.csv"))[0], BASES)
+    assert twice.re_rad_s == pytest.approx(once.re_rad_s, abs=1e-6)
+    assert any("were there twice" in text for text in twice.warnings)
+
+
+def test_what_a_table_lacks_around_the_mode_is_named_and_nothing_is_decided(tmp_path: Path, device: Device) -> None:
+    """The mode of this line is at 25/75 Hz; without rows about 75 Hz, or below 40 Hz, nobody has measured it."""
+    whole = judge_pair(device, bank_of(scan(lambda f, z: (f, z), tmp_path / "whole.csv"))[0], BASES)
+    assert whole.verdict != "undecided"
+    upper = F1_HZ + abs(whole.im_rad_s or 0.0) / (2.0 * np.pi)
+    for name, lacks in (
+        ("hole", lambda f: (f > 0.6 * upper) & (f < 1.7 * upper)),
+        ("start", lambda f: f < 0.9 * F1_HZ),
+        ("end", lambda f: f > 1.1 * F1_HZ),
+    ):
+        place = scan(lambda f, z, lacks=lacks: (f[~lacks(f)], z[~lacks(f)]), tmp_path / f"{name}.csv", 120)
+        found = judge_pair(device, bank_of(place)[0], BASES)
+        assert found.verdict == "undecided", name
+        assert found.missing_hz is not None, name
+        low, high = found.missing_hz
+        assert low < upper < high or low < 2.0 * F1_HZ - upper < high, name
+
+
+def test_a_network_of_another_fundamental_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "sixty.toml").write_text('f1_hz = 60.0\n[[element]]\nkind = "series"\nx_ohm = 0.25\n')
+    with pytest.raises(GridError, match=r"f1_hz = 60.0, the table's fundamental is 50 Hz"):
+        check_single(read_bank(tmp_path / "sixty.toml"), F1_HZ)
+
+
+def test_one_bad_file_in_four_hundred_costs_its_own_row(tmp_path: Path, device: Device) -> None:
+    for k in range(399):
+        line = f'[[element]]\nkind = "series"\nr_ohm = 0.01\nx_ohm = {0.1 + k / 4e3}\n'
+        (tmp_path / f"g{k:03d}.toml").write_text(line)
+    (tmp_path / "g200a.toml").write_text("[[element]\n")
+    entries = bank_of(tmp_path)
+    assert len(entries) == 400
+    verdicts = [judge_pair(device, entry, BASES) for entry in entries[195:205]]
+    assert [v.grid_id for v in verdicts if v.status != "ok"] == ["g200a.toml"]
+    assert all(entry.problem == "" for entry in entries if entry.grid_id != "g200a.toml")
 
 
 SPOILT = {

@@ -108,6 +108,19 @@ def test_a_distributed_cable_follows_its_closed_form(length_km: float) -> None:
     assert np.all(grid.phase_modes.real < 0.0)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_no_network_with_long_cables_is_refused_for_its_resonances(seed: int) -> None:
+    """Two cables of up to 300 km beside whatever else stands in a grid: the states give the closed form."""
+    rng = np.random.default_rng(seed)
+    lengths = rng.uniform(20.0, 300.0, 2).tolist()
+    others = [{"kind": "shunt_capacitor", "c_uf": 2.0}, {"kind": "series_capacitor", "x_ohm": 1.0}]
+    others.append({"kind": "filter", "c_uf": 0.5, "tuned_hz": 350.0, "quality": 30.0})
+    cables = [{**CABLE, "length_km": length} for length in lengths[: 1 + seed % 2]]
+    grid = elements_grid({"element": [SERIES, others[seed % 3], *cables, {**SERIES, "x_ohm": 2.0}]}, 50.0)
+    assert isinstance(grid, CableGrid)
+    np.testing.assert_allclose(grid.impedance(S), grid.closed_form(S), rtol=1e-7)
+
+
 def test_nodes_make_a_ring_of_two_parallel_lines() -> None:
     line = {"kind": "series", "r_ohm": 0.02, "x_ohm": 0.5, "from": "pcc", "to": "bus"}
     document = {"element": [line, dict(line), {**SERIES, "from": "bus", "to": "source"}]}
