@@ -150,7 +150,7 @@ def test_one_file_that_is_no_grid_is_a_wrong_call(file: str, words: str, tmp_pat
     (tmp_path / "negative.toml").write_text('[[element]]\nkind = "series"\nr_ohm = -1.0\nx_ohm = 0.2\n')
     table = tmp_path / "y.parquet"
     write_table(table, responses(), metadata("p0.4", "p0.65"))
-    said = call("judge", table, "--grids", tmp_path / file)
+    said = command("judge", table, "--grids", tmp_path / file)
     assert said.returncode == 2
     assert words in said.stderr
     assert len(said.stderr.splitlines()) == 1
