@@ -97,12 +97,13 @@ def _judged(document: Path, out: list[str]) -> tuple[Library, Farm]:
     from ...tuning.farm.document import farm_of
     from ...tuning.farm.farm import judged
 
-    entry = farm_of(_read(document), out)
-    library = _library(document)
+    entry = farm_of(read_document(document), out)
+    library = library_beside(document)
     return library, judged(entry, library)
 
 
-def _library(document: Path) -> Library:
+def library_beside(document: Path) -> Library:
+    """The tables that a farm file names, relative to it."""
     from ...identify.table.read import read_table
     from ...tuning.farm.units import Library
 
@@ -117,8 +118,8 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
 
     if not margin > 0.0:
         raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
-    content = _read(document)
-    found = judge_states(content, _library(document), out, margin, tell)
+    content = read_document(document)
+    found = judge_states(content, library_beside(document), out, margin, tell)
     say(states_text(found))
     if output is not None:
         write_json(output, states_json(str(content.get("name", "farm")), found))
@@ -151,7 +152,8 @@ def _advice(lever: Lever, library: Library, found: Farm, demand: Demand | None, 
     return gain_advice(library, found, demand, jobs or os.cpu_count() or 1, tell)
 
 
-def _read(document: Path) -> dict[str, Any]:
+def read_document(document: Path) -> dict[str, Any]:
+    """What a farm file holds."""
     try:
         return tomllib.loads(document.read_text("utf-8"))
     except FileNotFoundError:

@@ -23,6 +23,7 @@ import typer
 from ...plant.errors import SeqsweepError
 from . import bank as cli_bank
 from . import compare as cli_compare
+from . import convert as cli_convert
 from . import decide as cli_decide
 from . import farm as cli_farm
 from . import faults
@@ -63,6 +64,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "grid": cli_decide.grid,
     "surrogate": cli_region.surrogate,
     "farm": cli_farm.farm,
+    "convert": cli_convert.convert,
     "report": cli_handover.report,
     "compare": cli_compare.compare,
     "metrics": cli_metrics.metrics,

@@ -58,6 +58,9 @@ CALLS = {
     "surrogate outside": ["surrogate", "farm/turbine.parquet", "--at", "3,0,1.0"],
     "farm without its table": ["farm", EXAMPLES / "farm" / "farm.toml"],
     "farm": ["farm", "farm/farm.toml"],
+    "farm states": ["farm", "farm/farm.toml", "--states"],
+    "farm powers": ["farm", "farm/farm.toml", "--by", "power", "--damping", "10"],
+    "convert": ["convert", "farm/farm.toml", "-o", "case.m", "--force"],
     "report": ["report", "turbine.parquet", "tuning.json", "-o", "report.html", "--force"],
     "compare": ["compare", "turbine.parquet", "turbine.parquet"],
     "metrics": ["metrics", "turbine.parquet"],
@@ -122,7 +125,10 @@ def made(folder: Path) -> Callable[[str], None]:
     quick = ["--set", "sweep.points=16", "--set", "sweep.probes=0", "--set", "sweep.operating_points.tolerance=5e-2"]
     needs = {
         **dict.fromkeys(("verify", "report"), ("tuning.json", CALLS["tune"])),
-        **dict.fromkeys(("surrogate", "surrogate outside", "farm"), ("farm/turbine.parquet", [*region, *quick])),
+        **dict.fromkeys(
+            ("surrogate", "surrogate outside", "farm", "farm states", "farm powers", "convert"),
+            ("farm/turbine.parquet", [*region, *quick]),
+        ),
     }
 
     def make(name: str) -> None:

@@ -118,3 +118,28 @@ def test_states_and_diagram_are_drawn(folder):
     done = command("farm", folder / "farm.toml", "--diagram", folder / "d.svg")
     assert done.returncode == 0, done.stderr
     assert all(name in (folder / "d.svg").read_text() for name in ("wt1", "row, 35 kV", "source"))
+
+
+@pytest.mark.parametrize("name", ["network.json", "case.m"])
+def test_a_farm_goes_to_other_tools_and_comes_back(folder, name):
+    assert command("convert", folder / "farm.toml", "-o", folder / name).returncode == 0
+    back = ["-o", folder / f"{name}.toml", "--table", "turbine.parquet"]
+    done = command("convert", folder / name, *back)
+    assert done.returncode == 0, done.stderr
+    assert "reactive powers of generators are left out" in done.stderr
+    found = []
+    for farm in ("farm.toml", f"{name}.toml"):
+        assert command("farm", folder / farm, "-o", folder / "v.json", "--force").returncode == 0
+        found.append(
+            [device["terminal_voltage_v"] for device in json.loads((folder / "v.json").read_text())["devices"]]
+        )
+    assert found[1] == pytest.approx(
+        found[0], rel=1e-3
+    )  # the set-point is the machine's power, the network has the PCC's
+
+
+def test_a_network_that_is_none_is_refused(folder):
+    (folder / "no.json").write_text("{}", "utf-8")
+    done = command("convert", folder / "no.json", "-o", folder / "no.toml")
+    assert done.returncode == 2
+    assert "neither a network of pandapower" in done.stderr

@@ -352,7 +352,7 @@ def _source(
     name = str(entry.get("name", "source"))
     known_keys(entry, SOURCE_KEYS, name)
     bus = _bus(entry, "bus", name, voltages)
-    z = _source_impedance(entry, name, voltages[bus])
+    z = source_impedance(entry, name, voltages[bus])
     voltage = entry.get("voltage_pu", 1.0)
     if not _positive(voltage) or not 0.5 < voltage < 1.5:
         raise FarmError(f"{name}: voltage_pu = {voltage!r}; needed is a number near 1, in pu of the bus")
@@ -360,7 +360,8 @@ def _source(
     return branch, bus, float(voltage) * voltages[bus], z
 
 
-def _source_impedance(entry: Mapping[str, Any], name: str, voltage_v: float) -> complex:
+def source_impedance(entry: Mapping[str, Any], name: str, voltage_v: float) -> complex:
+    """Impedance (ohm at f1) of a ``[[source]]`` at a bus of ``voltage_v`` (V)."""
     if "s_sc_mva" in entry:
         if not _positive(entry["s_sc_mva"]):
             raise FarmError(f"{name}: s_sc_mva = {entry['s_sc_mva']!r}; needed is a number above 0, in MVA")

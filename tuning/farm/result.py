@@ -127,28 +127,28 @@ def _state_json(found: StateVerdict) -> dict[str, Any]:
 def states_text(states: Sequence[StateVerdict]) -> str:
     """States by verdict as a table, within 100 columns."""
     width = min(34, max(5, *(len(found.state.name) for found in states)))
-    head = f"{'state':<{width}}  devices  verdict             critical mode Hz   sigma 1/s  damping %       m  may stop"
+    head = f"{'state':<{width}}    n  verdict    mode Hz        sigma 1/s  zeta %      m  stop"
     lines = [head, "-" * len(head), *(_state_line(found, width) for found in states)]
     counts = [f"{sum(s.verdict == kind for s in states)} {kind}" for kind in dict.fromkeys(s.verdict for s in states)]
-    legend = "may stop: whether damping control may be switched off there; m: Bode margin at the source's bus"
+    legend = (
+        "n: devices; mode: the critical one; m: Bode margin at the source's bus; stop: whether damping control may stop"
+    )
     return "\n".join([*lines, "", ", ".join(counts), legend])
 
 
 def _state_line(found: StateVerdict, width: int) -> str:
     name = found.state.name if len(found.state.name) <= width else found.state.name[: width - 1] + "~"
     if found.farm is None:
-        return f"{name:<{width}}  {'':>7}  {found.verdict}"
+        return f"{name:<{width}}       {found.verdict}"
     n = sum(unit.count for unit in found.farm.units)
     mode, m = found.farm.judgement.critical, "-" if found.crossing is None else f"{found.crossing.m:.3f}"
+    place, sigma, damping = "-", "-", "-"
+    if mode is not None:
+        nu, f1 = mode.pole.imag / (2.0 * np.pi), found.farm.entry.f1_hz
+        place, sigma = f"{f1 - nu:.4g}/{f1 + nu:.4g}", f"{mode.pole.real:+.3f}"
+        damping = f"{-100.0 * mode.pole.real / abs(mode.pole):.2f}"
     stop = "yes" if found.cause_gone else "no"
-    if mode is None:
-        return f"{name:<{width}}  {n:7d}  {found.verdict:<18}  {'-':>16}  {'-':>10}  {'-':>9}  {m:>6}  {stop:>8}"
-    nu, f1 = mode.pole.imag / (2.0 * np.pi), found.farm.entry.f1_hz
-    place, damping = f"{f1 - nu:.4g}/{f1 + nu:.4g}", -100.0 * mode.pole.real / abs(mode.pole)
-    return (
-        f"{name:<{width}}  {n:7d}  {found.verdict:<18}  {place:>16}  {mode.pole.real:+10.3f}  {damping:9.2f}  {m:>6}"
-        f"  {stop:>8}"
-    )
+    return f"{name:<{width}}  {n:3d}  {found.verdict:<9}  {place:<13}  {sigma:>9}  {damping:>6}  {m:>5}  {stop:>4}"
 
 
 def text_of(farm: Farm) -> str:
