@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Callable, Iterator
+from functools import partial
 from math import pi
 
 from .errors import SeqsweepError
 from .protocol import Injection, OperatingPoint, Source
 
 
-def check_source(operating_point: OperatingPoint, source: Source) -> None:
-    """Refuse a source without impedance, and |v_pcc| said twice or not at all.
+def check_source(operating_point: OperatingPoint, source: Source, networks: bool = False) -> None:
+    """Refuse a source without impedance, and |v_pcc| said twice or not at all; a network unless it is simulated.
 
     Raises
     ------
@@ -20,6 +21,11 @@ def check_source(operating_point: OperatingPoint, source: Source) -> None:
     """
     if (operating_point.terminal_voltage_v is None) == (source.voltage_v is None):
         raise SeqsweepError("give either the operating point's terminal_voltage_v or the source's voltage_v, not both")
+    if source.kind == "network" and not networks:
+        raise SeqsweepError(
+            "a grid of elements is simulated behind the built-in plants dpmsg-v1, gfl-v1 and gfm-v1 alone; "
+            "give this plant a grid R + jX"
+        )
     if source.kind == "thevenin" and not (source.r_ohm >= 0.0 and source.l_h > 0.0):
         raise SeqsweepError(
             f"a Thevenin source needs r_ohm >= 0 and l_h > 0; got {source.r_ohm:g} ohm, {source.l_h:g} H"
@@ -27,7 +33,7 @@ def check_source(operating_point: OperatingPoint, source: Source) -> None:
 
 
 def series_tones(
-    injection: Injection | None, source: Source, grid_impedance: Callable[[float], complex]
+    injection: Injection | None, source: Source, grid_impedance: Callable[[float], complex] | None = None
 ) -> Iterator[tuple[float, complex]]:
     """Tones of an injection as (signed frequency in Hz, series voltage at time zero in V, phase peak).
 
@@ -40,8 +46,8 @@ def series_tones(
         None: no tones.
     source : Source
         What feeds the PCC.
-    grid_impedance : callable
-        Z_grid (ohm) of the plant's own stepper at a signed frequency (Hz).
+    grid_impedance : callable, optional
+        Z_grid (ohm) of the plant's own stepper at a signed frequency (Hz); that of the source by default.
 
     Raises
     ------
@@ -54,9 +60,17 @@ def series_tones(
         raise SeqsweepError(
             "shunt_current cannot perturb a PCC held by an ideal source: use series_voltage, or a thevenin source"
         )
+    grid_impedance = grid_impedance or partial(impedance_of, source)
     for tone in injection.tones:
         amplitude = tone.amplitude * cmath.exp(1j * tone.phase_rad)
         yield tone.f_hz, amplitude * grid_impedance(tone.f_hz) if injection.kind == "shunt_current" else amplitude
+
+
+def impedance_of(source: Source, f_hz: float) -> complex:
+    """Impedance (ohm) of a source at a signed frequency (Hz)."""
+    if source.circuit is not None:
+        return source.circuit.seen_at(2j * pi * f_hz)[0]
+    return source.r_ohm + 2j * pi * f_hz * source.l_h
 
 
 def turns(cycles: float) -> complex:

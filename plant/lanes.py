@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
 import numpy as np
 
 from .protocol import Injection, Phasors
@@ -42,3 +45,39 @@ def _line_and_mirror(sums: np.ndarray) -> np.ndarray:
     line = (re_re + im_im) + 1j * (im_re - re_im)
     mirror = (re_re - im_im) + 1j * (im_re + re_im)
     return np.stack([line, mirror], axis=2)
+
+
+class AroundDevice(Protocol):
+    """A network around a device: its states out of the device's, and into them."""
+
+    def states(self, state: Any) -> np.ndarray:
+        """(m,) of what a device's state remembers of its network."""
+        ...
+
+    def after(self, state: Any, states: np.ndarray) -> Any:
+        """The device's state with a network in ``states`` (m,)."""
+        ...
+
+
+class Chart(NamedTuple):
+    """Independent coordinates near a state: some of its values, and the states of its network.
+
+    ``kept`` are places among the values; ``around`` is None where there is no network.
+    """
+
+    state: Any
+    kept: list[int]
+    around: AroundDevice | None
+
+    def of(self, state: Any) -> np.ndarray:
+        """(n,) of a state."""
+        values = state.values[self.kept]
+        return values if self.around is None else np.concatenate([values, self.around.states(state)])
+
+    def at(self, x: np.ndarray) -> Any:
+        """The state with coordinates ``x`` (n,)."""
+        values = self.state.values.copy()
+        values[self.kept] = x[: len(self.kept)]
+        values.setflags(write=False)
+        moved = replace(self.state, values=values)
+        return moved if self.around is None else self.around.after(moved, x[len(self.kept) :])

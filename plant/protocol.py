@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from .circuits.circuit import Circuit
 from .space_vectors import PHASE_PEAK
 
 InjectionKind = Literal["series_voltage", "shunt_current"]
@@ -83,8 +84,8 @@ class Source:
 
     Attributes
     ----------
-    kind : "ideal" or "thevenin"
-        An ideal source holds v_pcc itself; a Thevenin source stands behind r + s l.
+    kind : "ideal", "thevenin" or "network"
+        An ideal source holds v_pcc itself; a Thevenin source stands behind r + s l, that of a network behind a circuit.
     r_ohm, l_h : float
         Series impedance of a Thevenin source (ohm, H).
     voltage_v : float or None
@@ -94,14 +95,17 @@ class Source:
     settle_on : (r_ohm, l_h) or None
         A friendlier impedance (ohm, H), behind which a device that has to be waited for starts and from where it is
         walked to this source; a device whose equilibrium is solved for does not need it.
+    circuit : Circuit or None
+        Elements between PCC and source, of a network.
     """
 
-    kind: Literal["ideal", "thevenin"] = "ideal"
+    kind: Literal["ideal", "thevenin", "network"] = "ideal"
     r_ohm: float = 0.0
     l_h: float = 0.0
     voltage_v: float | None = None
     angle_rad: float = 0.0
     settle_on: tuple[float, float] | None = None
+    circuit: Circuit | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +265,8 @@ class Conditions:
         Factor on the law by which the device chooses its power.
     compensation : Compensation or None
         At the measurement port; None is the plant's own.
+    circuit : Circuit or None
+        Elements between PCC and source, in place of R and L; branches are the same ones where their names are.
     """
 
     r_ohm: float
@@ -269,6 +275,7 @@ class Conditions:
     wind_m_s: float | None = None
     power_scale: float = 1.0
     compensation: Compensation | None = None
+    circuit: Circuit | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,7 +127,7 @@ def sweep(
     active_power_mw: float,
     f_hz: Frequencies,
     terminal_voltage_pu: float = ...,
-    grid: str | complex | Mapping[str, float] | None = ...,
+    grid: str | complex | Mapping[str, Any] | None = ...,
     parameters: Mapping[str, Any] | None = ...,
     source: Mapping[str, Any] | None = ...,
     jobs: int | None = ...,
@@ -144,7 +144,7 @@ def sweep(
     active_power_mw: Sequence[float] | np.ndarray,
     f_hz: Frequencies,
     terminal_voltage_pu: float | Sequence[float] = ...,
-    grid: str | complex | Mapping[str, float] | None = ...,
+    grid: str | complex | Mapping[str, Any] | None = ...,
     parameters: Mapping[str, Any] | None = ...,
     source: Mapping[str, Any] | None = ...,
     jobs: int | None = ...,
@@ -160,7 +160,7 @@ def sweep(
     active_power_mw: float | Sequence[float] | np.ndarray,
     f_hz: Frequencies,
     terminal_voltage_pu: float | Sequence[float] = 1.0,
-    grid: str | complex | Mapping[str, float] | None = None,
+    grid: str | complex | Mapping[str, Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
     source: Mapping[str, Any] | None = None,
     jobs: int | None = None,
@@ -317,7 +317,7 @@ def _sections(f_hz: Frequencies, settings: Mapping[str, Any]) -> dict[str, Any]:
 def _operating_points(
     active_power_mw: float | Sequence[float] | np.ndarray,
     terminal_voltage_pu: float | Sequence[float],
-    grid: str | complex | Mapping[str, float] | None,
+    grid: str | complex | Mapping[str, Any] | None,
 ) -> list[dict[str, Any]]:
     powers = np.atleast_1d(np.asarray(active_power_mw, dtype=float)).tolist()
     voltages = np.atleast_1d(np.asarray(terminal_voltage_pu, dtype=float)).tolist()
@@ -340,9 +340,11 @@ def _fresh_id(power_mw: float, points: Sequence[Mapping[str, Any]]) -> str:
     return f"{name}_{same + 1}" if same else name
 
 
-def _grid_section(grid: str | complex | Mapping[str, float]) -> dict[str, float]:
+def _grid_section(grid: str | complex | Mapping[str, Any]) -> dict[str, Any] | str:
     if isinstance(grid, Mapping):
         return dict(grid)
+    if isinstance(grid, str) and grid.endswith(".toml"):
+        return grid
     try:
         z = complex(grid.replace(" ", "")) if isinstance(grid, str) else complex(grid)
     except ValueError:

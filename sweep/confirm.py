@@ -15,9 +15,10 @@ import numpy as np
 
 from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
+from ..tuning import gain
 from ..tuning.gain import GainSearch, search_gain, search_signed
 from ..tuning.result import PointTuning, TuningResult, confirmed, confirmed_signed, defeated
-from ..tuning.siso import Grid, SeriesRL, own_impedance
+from ..tuning.siso import Grid, SeriesRL
 from ..tuning.tune import tune_point
 from .config.sections import Config
 from .planning import make_plan
@@ -212,25 +213,13 @@ def judged_with(
 
 
 def virtual_impedance(grid: Grid | None, f_r_hz: float | None) -> SeriesRL:
-    """R and L that have the grid's impedance at the resonance: what damping control multiplies by k.
-
-    Raises
-    ------
-    ConfirmError
-        If the grid is capacitive there.
-    """
-    if isinstance(grid, SeriesRL):
-        return grid
+    """`gain.virtual_impedance` of a point that has a grid and a resonance; `ConfirmError` where there is none."""
     assert grid is not None
     assert f_r_hz is not None
-    z = own_impedance(grid, f_r_hz)
-    x_ohm = z.imag * grid.f1_hz / f_r_hz
-    if not x_ohm > 0.0:
-        raise ConfirmError(
-            f"damping control is set by an R and an L; at the resonance, {f_r_hz:.4g} Hz, the grid ({grid.label}) is "
-            f"capacitive ({z.real:.4g} {z.imag:+.4g}j ohm)"
-        )
-    return SeriesRL(max(z.real, 0.0), x_ohm, grid.f1_hz)
+    try:
+        return gain.virtual_impedance(grid, f_r_hz)
+    except SeqsweepError as error:
+        raise ConfirmError(str(error)) from None
 
 
 def sweep_with_damping(

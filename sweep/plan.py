@@ -9,13 +9,14 @@ carries its shots, and a shot its injection and its window: whoever measures one
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..identify.table.format import content_hash
+from ..plant.circuits.circuit import Circuit
 from ..plant.errors import SeqsweepError
 from ..plant.protocol import Injection, InjectionKind, OperatingPoint, Source, Tone, Window
 from ..plant.registry import PlantSpec
@@ -50,11 +51,24 @@ class PlanError(SeqsweepError):
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The Thevenin grid of one operating point: source voltage (V, line-to-line RMS) and impedance."""
+    """The Thevenin grid of one operating point: source voltage (V, line-to-line RMS) and impedance.
+
+    ``circuit`` are its elements, if it is no R + jX: r_ohm and l_h (negative if it is capacitive) are then what the PCC
+    sees at f1, ``no_load`` is the PCC's voltage over the source's where no current flows.
+    """
 
     r_ohm: float
     l_h: float
     voltage_v: float
+    circuit: Circuit | None = None
+    document: Mapping[str, Any] | None = None
+    scale: float = 1.0
+    no_load: float = 1.0
+
+    def facts(self) -> dict[str, Any]:
+        """What the result depends on."""
+        plain = {"r_ohm": self.r_ohm, "l_h": self.l_h, "voltage_v": self.voltage_v}
+        return plain if self.circuit is None else {**plain, "circuit": self.circuit.facts()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +80,11 @@ class Condition:
     terminal_voltage_v: float | None
     grid: Grid | None = None
     reactive_power_var: float = 0.0
+
+    def facts(self) -> dict[str, Any]:
+        """What the result depends on."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {**plain, "grid": None if self.grid is None else self.grid.facts()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,11 +260,11 @@ class Batch:
         """What the result depends on, as far as the batch knows."""
         signal = self.plays[0].signal if self.plays else None
         return {
-            "source": asdict(self.source),
+            "source": _source_facts(self.source),
             "tolerance": self.limits.tolerance,
             "uncertainty": self.limits.uncertainty,
             "max_simulated_s": self.limits.max_simulated_s,
-            "condition": asdict(self.condition),
+            "condition": self.condition.facts(),
             "points": [asdict(point) for point in self.points],
             "shots": [shot.facts() for of_point in self.shots for shot in of_point] or [p.facts() for p in self.plays],
             "signal": None if signal is None else _signal_facts(signal),
@@ -439,3 +458,10 @@ def _alike(points: tuple[Frequency, ...], probes: frozenset[float], most: int) -
 def operating_point(condition: Condition) -> OperatingPoint:
     """The condition as the plant takes it."""
     return OperatingPoint(condition.active_power_w, condition.terminal_voltage_v, condition.reactive_power_var)
+
+
+def _source_facts(source: Source) -> dict[str, Any]:
+    """What a result depends on of a source."""
+    plain = asdict(replace(source, circuit=None))
+    del plain["circuit"]
+    return plain if source.circuit is None else {**plain, "circuit": source.circuit.facts()}

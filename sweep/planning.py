@@ -6,10 +6,19 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..plant.errors import SeqsweepError
 from ..plant.operating_range import is_within
 from ..plant.protocol import Plant, Source, reactance_to_inductance
 from ..plant.registry import PlantCard, PlantSpec, card_of, runs_isolated
-from .config.sections import DEFAULT_INTERPOLATION_TOLERANCE, Config, OperatingPointSection, SourceSection, SweepSection
+from ..tuning.grids.in_time import circuit_of
+from .config.sections import (
+    DEFAULT_INTERPOLATION_TOLERANCE,
+    Config,
+    GridSection,
+    OperatingPointSection,
+    SourceSection,
+    SweepSection,
+)
 from .excitation.adaptive_rounds import Adaptive, first_round
 from .excitation.choice import broadband
 from .excitation.frequencies import Frequency, coherent_block, generated, listed
@@ -44,7 +53,7 @@ def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
     _check_range(conditions, card)
     voltage_like = config.injection.kind == "series_voltage"
     peak = card.rating.peak_voltage_v if voltage_like else card.rating.peak_current_a
-    source = _source(config.source, card.f1_hz)
+    source = _source(config.source, card)
     return Plan(
         hosting=Hosting(
             spec, runs_isolated(spec.id, config.plant.isolate), config.plant.timeout_s, config.plant.memory_mb
@@ -127,13 +136,16 @@ def _adaptive(sweep: SweepSection) -> Adaptive | None:
     return Adaptive(sweep.f_min_hz, sweep.f_max_hz, sweep.points, tolerance)
 
 
-def _source(section: SourceSection, f1_hz: float) -> Source:
+def _source(section: SourceSection, plant: PlantCard) -> Source:
     friend = section.settle_on
+    if section.grid is not None:
+        grid = _grid("[source]", section.grid, plant)
+        return Source("network" if grid.circuit else "thevenin", grid.r_ohm, grid.l_h, circuit=grid.circuit)
     return Source(
         section.kind,
         section.r_ohm,
-        reactance_to_inductance(section.x_ohm, f1_hz),
-        settle_on=None if friend is None else (friend.r_ohm, reactance_to_inductance(friend.x_ohm, f1_hz)),
+        reactance_to_inductance(section.x_ohm, plant.f1_hz),
+        settle_on=None if friend is None else (friend.r_ohm, reactance_to_inductance(friend.x_ohm, plant.f1_hz)),
     )
 
 
@@ -143,9 +155,25 @@ def _condition(section: OperatingPointSection, plant: PlantCard) -> Condition:
     if section.grid is None:
         assert section.terminal_voltage_pu is not None
         return Condition(section.id, power_w, section.terminal_voltage_pu * u, None, reactive_var)
-    g = section.grid
-    grid = Grid(g.r_ohm * g.scale, reactance_to_inductance(g.x_ohm * g.scale, plant.f1_hz), g.voltage_pu * u)
+    grid = _grid(f"operating point {section.id!r}", section.grid, plant)
     return Condition(section.id, power_w, None, grid, reactive_var)
+
+
+def _grid(where: str, section: GridSection, plant: PlantCard) -> Grid:
+    """The grid of a section, as R + jX or as a circuit."""
+    voltage_v, f1_hz = section.voltage_pu * plant.rating.voltage_v, plant.f1_hz
+    if section.elements is None:
+        assert section.r_ohm is not None
+        assert section.x_ohm is not None
+        l_h = reactance_to_inductance(section.x_ohm * section.scale, f1_hz)
+        return Grid(section.r_ohm * section.scale, l_h, voltage_v)
+    try:
+        circuit = circuit_of(section.elements, f1_hz).scaled(section.scale)
+        z, gain = circuit.seen_at(2j * np.pi * f1_hz)
+    except (SeqsweepError, np.linalg.LinAlgError) as error:
+        raise PlanError(f"{where}: its grid of elements: {error}") from None
+    l_h = reactance_to_inductance(z.imag, f1_hz)
+    return Grid(z.real, l_h, voltage_v, circuit, section.elements, section.scale, abs(gain))
 
 
 def _check_range(conditions: tuple[Condition, ...], plant: PlantCard) -> None:

@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from .grids.in_time import grid_of_fact
 from .rows import Rows, wind_rows
-from .siso import Grid, SeriesRL
+from .siso import Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
         return Anchor(0, None, "an ideal source")
     if not isinstance(place, Mapping):
         return Anchor(None, None, "")
-    grid = SeriesRL(float(place["r_ohm"]), float(place["x_ohm"]), f1_hz)
+    grid = grid_of_fact(place, f1_hz)
     turns = wind_rows(rows, grid).number
     if turns < 0:
         return Anchor(

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..plant.errors import SeqsweepError
 from .crossings import Admittance, Crossing, bode_crossings, critical_crossing
-from .siso import Grid, own_impedance
+from .siso import Grid, SeriesRL, own_impedance
 
 K_MAX = 2.0
 """Largest gain the search tries."""
@@ -207,3 +207,23 @@ def _next_gain(trials: list[tuple[float, float]], required: float) -> float | No
         return 0.0
     part = (1.0025 * required - low_m) / (m - low_m)
     return float(low_k + np.clip(part, 0.05, 0.95) * (k - low_k))
+
+
+def virtual_impedance(grid: Grid, f_r_hz: float) -> SeriesRL:
+    """R and L that have the grid's impedance at the resonance (signed, Hz): what damping control multiplies by k.
+
+    Raises
+    ------
+    SeqsweepError
+        If the grid is capacitive there.
+    """
+    if isinstance(grid, SeriesRL):
+        return grid
+    z = own_impedance(grid, f_r_hz)
+    x_ohm = z.imag * grid.f1_hz / f_r_hz
+    if not x_ohm > 0.0:
+        raise SeqsweepError(
+            f"damping control is set by an R and an L; at the resonance, {f_r_hz:.4g} Hz, the grid ({grid.label}) is "
+            f"capacitive ({z.real:.4g} {z.imag:+.4g}j ohm)"
+        )
+    return SeriesRL(max(z.real, 0.0), x_ohm, grid.f1_hz)

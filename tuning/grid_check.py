@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .grids.in_time import grid_of_fact
 from .siso import Grid
 
 SAME_GRID = 0.005
@@ -122,12 +123,11 @@ def source_voltage_v(power_va: complex, terminal_voltage_v: float, grid: Grid) -
 
 
 def _against_swept_grid(swept: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
-    scale = swept.get("scale") or 1.0
-    r_ohm, x_ohm = swept["r_ohm"] * scale, swept["x_ohm"] * scale
-    if np.abs(r_ohm + 1j * x_ohm - grid.at_f1) <= SAME_GRID * grid.size_ohm:
+    z = grid_of_fact(swept, grid.f1_hz).at_f1
+    if np.abs(z - grid.at_f1) <= SAME_GRID * grid.size_ohm:
         return ()
     return (
-        f"the table was swept with the PCC voltage that belongs to {r_ohm:.4g} + j{x_ohm:.4g} ohm, not to "
+        f"the table was swept with the PCC voltage that belongs to {z.real:.4g} + j{z.imag:.4g} ohm, not to "
         f"{grid.at_f1.real:.4g} + j{grid.at_f1.imag:.4g} ohm: the device will work at another voltage there; sweep "
         "again with this grid in the operating point",
     )

@@ -19,11 +19,12 @@ from ..plant.errors import SeqsweepError, place_of
 from .anchor import Anchor, anchor_of
 from .gain import gain_for_margin, predicted_crossing
 from .grid_check import grid_warnings
+from .grids.in_time import grid_of_fact
 from .intervals import margin_interval, scale_interval
 from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
 from .result import PointTuning, TuningResult
 from .rows import Rows, believed, rows_of
-from .siso import Grid, SeriesRL, check_fundamental
+from .siso import Grid, check_fundamental
 from .verdict import Stability, judge, swept_band
 
 if TYPE_CHECKING:
@@ -90,10 +91,9 @@ def own_grid(response: FrequencyResponse, swept: Mapping[str, Any] | None) -> Gr
     """
     known = (response.meta.get("stable_on") or {}).get("grid")
     if swept is not None:
-        scale = swept.get("scale") or 1.0
-        return SeriesRL(swept["r_ohm"] * scale, swept["x_ohm"] * scale, response.f1_hz)
+        return grid_of_fact(swept, response.f1_hz)
     if isinstance(known, Mapping):
-        return SeriesRL(known["r_ohm"], known["x_ohm"], response.f1_hz)
+        return grid_of_fact(known, response.f1_hz)
     raise SeqsweepError(
         f"operating point {response.meta.get('op_id')!r} was swept on an ideal source for no grid in particular: give "
         "--grid R+jX, or sweep it with grid = { r_ohm, x_ohm, voltage_pu } in the operating point"

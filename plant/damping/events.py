@@ -14,6 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..circuits.circuit import Circuit
+from ..circuits.dynamics import SOUND
 from ..errors import SeqsweepError
 from ..protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Trace
 from . import control
@@ -69,7 +71,16 @@ class PowerStep:
     active_power_w: float
 
 
-Event = GridStep | TurbineStep | Fault | WindStep | PowerStep
+@dataclass(frozen=True, slots=True)
+class CircuitStep:
+    """From ``time_s`` on the grid's elements are those of ``circuit``; ``what`` says so in words."""
+
+    time_s: float
+    circuit: Circuit
+    what: str
+
+
+Event = GridStep | TurbineStep | Fault | WindStep | PowerStep | CircuitStep
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +104,8 @@ class Scenario:
         times the impedance. One aggregated turbine stands for all: it is *per turbine* throughout.
     reactive_power_var : float
         Reactive power out of the device at the beginning (var).
+    circuit : Circuit or None
+        Elements between device and source, in place of R and L, which then say what the device sees at f1.
     """
 
     active_power_w: float
@@ -103,6 +116,7 @@ class Scenario:
     scale: float = 1.0
     turbines: float = 1.0
     reactive_power_var: float = 0.0
+    circuit: Circuit | None = None
 
     def __post_init__(self) -> None:
         faults = sorted((e for e in self.events if isinstance(e, Fault)), key=lambda fault: fault.time_s)
@@ -270,7 +284,7 @@ def conditions_at(scenario: Scenario, time_s: float) -> Conditions:
     """What surrounds the device from ``time_s`` on, until the next event."""
     past = sorted((e for e in scenario.events if e.time_s <= time_s + 1e-9), key=lambda event: event.time_s)
     scale, turbines, wind_m_s, power_w = scenario.scale, scenario.turbines, None, scenario.active_power_w
-    fault_s = (0.0, 0.0, 0.0)
+    fault_s, circuit = SOUND, scenario.circuit
     for event in past:
         match event:
             case GridStep():
@@ -281,9 +295,11 @@ def conditions_at(scenario: Scenario, time_s: float) -> Conditions:
                 wind_m_s = event.wind_m_s
             case PowerStep():
                 power_w = event.active_power_w
+            case CircuitStep():
+                circuit = event.circuit
             case Fault():
                 over = event.time_s + event.duration_s <= time_s + 1e-9
-                fault_s = (0.0, 0.0, 0.0) if over else fault_conductance(event.kind, event.r_ohm)
+                fault_s = SOUND if over else fault_conductance(event.kind, event.r_ohm)
     factor = scale * turbines / scenario.turbines
     return Conditions(
         r_ohm=factor * scenario.r_ohm,
@@ -291,7 +307,14 @@ def conditions_at(scenario: Scenario, time_s: float) -> Conditions:
         fault_s=fault_s,
         wind_m_s=wind_m_s,
         power_scale=1.0 if power_w == scenario.active_power_w else power_w / scenario.active_power_w,
+        circuit=None if circuit is None else circuit.scaled(factor),
     )
+
+
+def source_of(conditions: Conditions, voltage_v: float) -> Source:
+    """What feeds the device under conditions, with ``voltage_v`` (V, line-to-line RMS) behind it."""
+    kind: Literal["thevenin", "network"] = "thevenin" if conditions.circuit is None else "network"
+    return Source(kind, conditions.r_ohm, conditions.l_h, voltage_v=voltage_v, circuit=conditions.circuit)
 
 
 def fault_conductance(kind: FaultKind, r_ohm: float) -> tuple[float, float, float]:
@@ -353,12 +376,7 @@ def _steps_of(duration_s: float, step_s: float) -> int:
 
 
 def _source(scenario: Scenario) -> Source:
-    return Source(
-        "thevenin",
-        scenario.scale * scenario.r_ohm,
-        scenario.scale * scenario.l_h,
-        voltage_v=scenario.source_voltage_v,
-    )
+    return source_of(conditions_at(replace(scenario, events=()), 0.0), scenario.source_voltage_v)
 
 
 def _stretches(scenario: Scenario, first: int, n_steps: int, dt_s: float) -> Iterator[tuple[Conditions, int]]:

@@ -9,17 +9,22 @@ import cmath
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from math import isfinite, pi
 from typing import Any
 
 import numpy as np
 
+from ..circuits.circuit import Circuit
+from ..circuits.dynamics import Memory
+from ..circuits.feeding import Feeding
 from ..damping.control import NOTCH_XI
 from ..errors import SeqsweepError
 from ..injection import series_tones, turns
 from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, Phasors, Rating, Record, Source, Trace, Window
 from ..turbine.tone_table import common_period, waveform
+from .behind_network import Bases, NetworkLanes, bases_of, direct_line, feeding, no_load
 from .equilibrium import References
 
 _CHUNK_STEPS = 4000
@@ -46,6 +51,8 @@ class InverterState:
         Source voltage in the dq frame (pu).
     source : Source
         What feeds the PCC.
+    memory : Memory or None
+        Currents and charges of its network, power-invariant; None where there is none.
     """
 
     step: int
@@ -55,6 +62,7 @@ class InverterState:
     dc: tuple[float, float]
     v_source: complex
     source: Source
+    memory: Memory | None = None
 
 
 class LaneDriven(ABC):
@@ -69,13 +77,27 @@ class LaneDriven(ABC):
 
     _kernel: str
 
-    def _advance(self, port: bool) -> Callable[..., None]:
-        """The kernel for this device, with a block at its measurement port or without."""
+    def _advance(self, ending: str) -> Callable[..., None]:
+        """The kernel for this device, by the ``ending`` of its name."""
         from ..kernels import inverters as kernel
 
         linked = "_linked" if isfinite(self.parameters.c_dc_s) else ""
-        found: Callable[..., None] = getattr(kernel, f"advance_{self._kernel}{linked}{'_compensated' if port else ''}")
+        found: Callable[..., None] = getattr(kernel, f"advance_{self._kernel}{linked}{ending}")
         return found
+
+    def _stepper(self, jobs: list[Job], port: bool) -> tuple[Callable[..., None], NetworkLanes | None]:
+        """What steps jobs with one circuit, or none; their networks."""
+        if jobs[0].state.source.circuit is None:
+            return self._advance("_compensated" if port else ""), None
+        networks = NetworkLanes(jobs, self._bases, self.parameters.w1_rad_s, self.dt_s)
+        kernel = self._advance("_network")
+        return lambda *arguments: kernel(
+            *arguments, networks.xi, np.empty_like(networks.xi), networks.weights
+        ), networks
+
+    @property
+    def _bases(self) -> Bases:
+        return bases_of(self.rating)
 
     @abstractmethod
     def _synchronisation(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,7 +112,13 @@ class LaneDriven(ABC):
         """Impedance of the source at f1 (pu)."""
         if source.kind == "ideal":
             return 0j
+        if source.circuit is not None:
+            return source.circuit.seen_at(1j * self.parameters.w1_rad_s)[0] / self.base_impedance_ohm
         return complex(source.r_ohm, self.parameters.w1_rad_s * source.l_h) / self.base_impedance_ohm
+
+    def _no_load_gain(self, source: Source) -> complex:
+        """PCC voltage over the source's where nothing is fed in."""
+        return 1.0 + 0j if source.circuit is None else source.circuit.seen_at(1j * self.parameters.w1_rad_s)[1]
 
     @property
     def _compensated(self) -> bool:
@@ -103,8 +131,9 @@ class LaneDriven(ABC):
         results: list[tuple[InverterState, Record]] = []
         for lanes, members, table, tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
             samples = np.empty((n_steps, 4, kernel.LANES))
-            self._advance(self._compensated)(table, lanes, tones, self.parameters, self.dt_s, 1, kernel.V_RE, samples)
-            ends = self._ends(lanes, members, n_steps)
+            advance, networks = self._stepper(members, self._compensated)
+            advance(table, lanes, tones, self.parameters, self.dt_s, 1, kernel.V_RE, samples)
+            ends = self._ends(lanes, members, n_steps, networks)
             results += [
                 (end, self._record(job.state, samples[:, :, lane]))
                 for lane, (job, end) in enumerate(zip(members, ends, strict=True))
@@ -121,10 +150,9 @@ class LaneDriven(ABC):
         v_unit, i_unit = self.rating.peak_voltage_v, -self.rating.peak_current_a
         for lanes, members, table, tones in self._batches(jobs, windows, block_steps):
             sums = np.empty((n_blocks, 8, kernel.LANES))
-            self._advance(self._compensated)(
-                table, lanes, tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums
-            )
-            ends = self._ends(lanes, members, block_steps * n_blocks)
+            advance, networks = self._stepper(members, self._compensated)
+            advance(table, lanes, tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
+            ends = self._ends(lanes, members, block_steps * n_blocks, networks)
             results += zip(ends, phasors_of(sums, v_unit, i_unit), strict=False)
         return results
 
@@ -140,7 +168,12 @@ class LaneDriven(ABC):
         block = self.compensation if conditions.compensation is None else conditions.compensation
         start = replace(
             state,
-            source=replace(state.source, r_ohm=conditions.r_ohm, l_h=conditions.l_h),
+            source=replace(
+                state.source,
+                r_ohm=conditions.r_ohm,
+                l_h=conditions.l_h,
+                circuit=conditions.circuit or state.source.circuit,
+            ),
             references=state.references._replace(p=state.references.p * conditions.power_scale),
         )
         now, kept = start, []
@@ -151,7 +184,7 @@ class LaneDriven(ABC):
         return replace(now, references=state.references), trace
 
     def _refuse_impossible(self, state: InverterState, conditions: Conditions) -> None:
-        if state.source.kind != "thevenin":
+        if state.source.kind == "ideal":
             raise SeqsweepError("trace needs a state behind a thevenin source; this one has an ideal source")
         if any(conditions.fault_s):
             raise SeqsweepError(f"{self.id} has no fault at the PCC, which lies between two inductances: step the grid")
@@ -166,8 +199,9 @@ class LaneDriven(ABC):
         slots = lanes.reshape(-1, kernel.LANES)
         slots[kernel.COMP], slots[kernel.COMP + 1] = (x / self.base_impedance_ohm for x in block)
         kept = np.empty((n_steps, kernel.I_IM + 1, kernel.LANES))
-        self._advance(True)(table, lanes, tones, self.parameters, self.dt_s, 1, 0, kept)
-        (end,) = self._ends(lanes, members, n_steps)
+        advance, networks = self._stepper(members, True)
+        advance(table, lanes, tones, self.parameters, self.dt_s, 1, 0, kept)
+        (end,) = self._ends(lanes, members, n_steps, networks)
         states = np.concatenate([state.values[None], kept[:-1, : kernel.N_STATES, 0]])
         return end, np.concatenate([states, kept[:, kernel.V_RE : kernel.I_IM + 1, 0]], axis=1)
 
@@ -185,12 +219,12 @@ class LaneDriven(ABC):
         """Flat arrays of up to LANES jobs, in their order: (array, jobs, source table, tones)."""
         from ..kernels.inverters import LANES, array_slots
 
-        for first in range(0, len(jobs), LANES):
-            members = list(jobs[first : first + LANES])
+        for members in _alike(jobs, LANES):
             table = self._source_table(members)
             tones = 0 if len(table) else max(n_tones_of(job.injection) for job in members)
             x = aligned_zeros(array_slots(max(tones, 1)), LANES)
-            for lane, (job, window) in enumerate(zip(members, windows[first : first + LANES], strict=True)):
+            of_members, windows = windows[: len(members)], windows[len(members) :]
+            for lane, (job, window) in enumerate(zip(members, of_members, strict=True)):
                 x[:, lane] = self._lane(job, window, block_steps, tones)
             x[:, len(members) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write
             yield x.ravel(), members, table, tones
@@ -202,9 +236,8 @@ class LaneDriven(ABC):
         state, source, z_base = job.state, job.state.source, self.base_impedance_ohm
         x = np.zeros(kernel.array_slots(max(tones, 1)))
         x[: kernel.N_STATES] = state.values
-        set_complex(x, kernel.V_S, state.v_source)
-        z = self._per_unit(source)
-        x[kernel.LINE_R], x[kernel.LINE_L] = z.real, z.imag
+        set_complex(x, kernel.V_S, self._behind_line(state))
+        x[kernel.LINE_R], x[kernel.LINE_L] = self._line(source)
         x[kernel.P_REF], x[kernel.Q_REF], x[kernel.V_REF] = state.references
         x[kernel.DC_I], x[kernel.DC_SLOPE] = state.dc
         set_complex(x, kernel.COMP, complex(*self.compensation) / z_base)
@@ -223,11 +256,27 @@ class LaneDriven(ABC):
 
     def _tones(self, job: Job) -> list[tuple[float, complex]]:
         """Tones of a job as (frequency in the dq frame in Hz, voltage at time zero in pu)."""
-        source = job.state.source
         return [
             (f_hz - self.f1_hz, v / self.rating.peak_voltage_v)
-            for f_hz, v in series_tones(job.injection, source, lambda f_hz: source.r_ohm + 2j * pi * f_hz * source.l_h)
+            for f_hz, v in series_tones(job.injection, job.state.source)
         ]
+
+    def _feeding(self, circuit: Circuit) -> Feeding:
+        return feeding(circuit, self.parameters.w1_rad_s, self.dt_s)
+
+    def _line(self, source: Source) -> tuple[float, float]:
+        """R and X (pu) of the line before the device; of a network, of what it lets through at once."""
+        if source.circuit is None:
+            z = self._per_unit(source)
+            return z.real, z.imag
+        r_ohm, l_h = direct_line(self._feeding(source.circuit))
+        return r_ohm / self.base_impedance_ohm, self.parameters.w1_rad_s * l_h / self.base_impedance_ohm
+
+    def _behind_line(self, state: InverterState) -> complex:
+        """The voltage (pu) that the source holds behind that line."""
+        if state.source.circuit is None:
+            return state.v_source
+        return no_load(self._feeding(state.source.circuit), state.v_source)  # linear: per unit in, per unit out
 
     def _source_table(self, jobs: list[Job]) -> np.ndarray:
         """The jobs' sources over a period as the kernel's table, (n, 2, LANES); of no rows where tones are cheaper."""
@@ -240,20 +289,23 @@ class LaneDriven(ABC):
         for lane in range(LANES if n_rows else 0):
             member = lane if lane < len(jobs) else 0  # idle lanes follow the first
             state = jobs[member].state
-            wave = waveform([(0.0, state.v_source), *spectra[member]], rows_per_s, n_rows, 2 * state.step)
+            wave = waveform([(0.0, self._behind_line(state)), *spectra[member]], rows_per_s, n_rows, 2 * state.step)
             table[:, 0, lane], table[:, 1, lane] = wave.real, wave.imag
         return table
 
-    def _ends(self, lanes: np.ndarray, jobs: list[Job], n_steps: int) -> list[InverterState]:
+    def _ends(
+        self, lanes: np.ndarray, jobs: list[Job], n_steps: int, networks: NetworkLanes | None
+    ) -> list[InverterState]:
         from ..kernels.inverters import LANES, N_STATES
 
         values = lanes.reshape(-1, LANES)[:N_STATES].T.copy()
         values.setflags(write=False)
         steps = [job.state.step + n_steps for job in jobs]
-        return [
+        ends = [
             replace(job.state, step=step, time_s=step * self.dt_s, values=x)
             for job, step, x in zip(jobs, steps, values, strict=False)
         ]
+        return ends if networks is None else networks.finished(ends)
 
     def _record(self, state: InverterState, samples: np.ndarray) -> Record:
         time_s = (state.step + np.arange(len(samples))) * self.dt_s
@@ -261,3 +313,11 @@ class LaneDriven(ABC):
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary * self.rating.peak_voltage_v
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary * self.rating.peak_current_a
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
+
+
+def _alike(jobs: Sequence[Job], most: int) -> Iterator[list[Job]]:
+    """Neighbours with one circuit, or none, up to ``most`` at a time."""
+    for _, group in groupby(jobs, key=lambda job: job.state.source.circuit):
+        members = list(group)
+        for first in range(0, len(members), most):
+            yield members[first : first + most]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import cmath
 from abc import abstractmethod
-from dataclasses import replace
 from math import pi
 from typing import Any, ClassVar
 
@@ -17,7 +16,7 @@ import numpy as np
 from ..damping.control import compensation
 from ..errors import SeqsweepError
 from ..injection import check_source
-from ..lanes import set_complex
+from ..lanes import Chart, set_complex
 from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Job,
@@ -28,6 +27,7 @@ from ..protocol import (
     Source,
 )
 from . import equilibrium as stationary
+from .behind_network import NetworkLanes, at_rest
 from .driving import InverterState, LaneDriven
 from .equilibrium import CircuitEquilibrium, References
 from .parameters import FollowingParameters, FormingParameters
@@ -165,7 +165,7 @@ class Inverter(LaneDriven):
         circuit = stationary.circuit_equilibrium(self.parameters, power, voltage)
         self._check_limits(circuit)
         states, references = self._control(circuit)
-        v_source = stationary.source_voltage(circuit, z)
+        v_source = stationary.source_voltage(circuit, z) / self._no_load_gain(source)
         angle = source.angle_rad - cmath.phase(v_source)
         turn = cmath.exp(1j * angle)
         values = np.zeros(kernel.N_STATES)
@@ -178,7 +178,10 @@ class Inverter(LaneDriven):
         # The notch holds i_g back, and -1j i_g.
         set_complex(values, kernel.NOTCH_B, circuit.i_g * turn)
         set_complex(values, kernel.NOTCH_Q, -1j * circuit.i_g * turn)
-        return self._state(0, values, references, self._dc(circuit), v_source * turn, source)
+        state = self._state(0, values, references, self._dc(circuit), v_source * turn, source)
+        if source.circuit is None:
+            return state
+        return at_rest(state, self._bases, self.parameters.w1_rad_s, self.dt_s, circuit.i_g * turn)
 
     def linearise(self, state: InverterState) -> np.ndarray:
         """Poles of the small-signal system around ``state`` in the dq frame (rad/s), worst first.
@@ -193,13 +196,20 @@ class Inverter(LaneDriven):
         if self._compensated:
             kept += range(kernel.NOTCH_B, kernel.N_STATES)
         step = 1e-5
-        moved = [state.values + sign * step * unit for unit in np.eye(kernel.N_STATES)[kept] for sign in (1.0, -1.0)]
-        jobs = [Job(replace(state, values=x), None) for x in moved]
-        ends = np.array([end.values[kept] for end, _ in self.run(jobs, n_steps)])
-        flow = ((ends[0::2] - ends[1::2]) / (2.0 * step)).T
-        moving = ~np.all(np.abs(flow - np.eye(len(kept))) < 1e-9, axis=1)
+        chart = self._chart(state, kept)
+        middle = chart.of(state)
+        size = np.where(np.arange(len(middle)) < len(kept), 1.0, np.maximum(np.abs(middle), 1.0))
+        moved = [chart.at(middle + sign * step * unit) for unit in np.diag(size) for sign in (1.0, -1.0)]
+        ends = np.array([chart.of(end) for end, _ in self.run([Job(x, None) for x in moved], n_steps)])
+        flow = ((ends[0::2] - ends[1::2]) / (2.0 * step * size[:, None])).T
+        moving = ~np.all(np.abs(flow - np.eye(len(middle))) < 1e-9, axis=1)
         poles = np.log(np.linalg.eigvals(flow[np.ix_(moving, moving)]).astype(complex)) / (n_steps * self.dt_s)
         return poles[np.argsort(-poles.real)]
+
+    def _chart(self, state: InverterState, kept: list[int]) -> Chart:
+        if state.source.circuit is None:
+            return Chart(state, kept, None)
+        return Chart(state, kept, NetworkLanes([Job(state, None)], self._bases, self.parameters.w1_rad_s, self.dt_s))
 
     def _certify(self, state: InverterState) -> None:
         steps = max(1, round(1.0 / (self.f1_hz * self.dt_s)))
@@ -221,7 +231,7 @@ class Inverter(LaneDriven):
 
     def _terminal_voltage(self, point: OperatingPoint, source: Source, power: complex, z: complex) -> float:
         """|v_pcc| (pu)."""
-        check_source(point, source)
+        check_source(point, source, networks=True)
         u = self.rating.voltage_v
         if point.terminal_voltage_v is not None:
             return point.terminal_voltage_v / u
@@ -229,7 +239,7 @@ class Inverter(LaneDriven):
         if source.kind == "ideal":
             return source.voltage_v / u
         try:
-            return stationary.terminal_voltage(power, z, source.voltage_v / u)
+            return stationary.terminal_voltage(power, z, abs(self._no_load_gain(source)) * source.voltage_v / u)
         except SeqsweepError as error:
             raise NotSettled(str(error)) from None
 

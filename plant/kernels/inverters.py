@@ -45,8 +45,11 @@ LINE, LINE_ROT, TAPER, TAPER_ROT, TAPER_GAIN = 40, 42, 44, 46, 48
 SUM_V, SUM_I = 49, 53
 # The source of the step at hand, but for the first tone: at its start, middle and end.
 SOURCE = 57
+# Behind a network: the voltage that it shows at start, middle and end of the step if nothing is fed in, and what is fed
+# in then.
+FREE, FED = 63, 69
 # Tones: phasor in the dq frame, rotation per half step. The first one's place, then the list of all.
-TONE, TONES = 63, 67
+TONE, TONES = 75, 79
 N_TONE_SLOTS = 4
 
 # Blackman taper as a0 + a1 c + a2 c^2 with the cosine c of the taper's phase.
@@ -563,6 +566,95 @@ def _source(x, lane):
     )
 
 
+# ---------------------------------------------------------------------- a network behind the terminals
+
+
+@njit(forceinline=True)
+def _load_free(x, lane, net):
+    if len(net) == 0:
+        return ()
+    return _get(x, FREE, lane), _get(x, FREE + 2, lane), _get(x, FREE + 4, lane)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _at_start(v, free):
+    """Voltage behind the line at the start of a step; the three that follow are the stages', fed by ``u`` so far."""
+    if len(free) == 0:
+        return v
+    return v + free[0]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _at_first(v, free, net, u0):
+    if len(free) == 0:
+        return v
+    return v + free[1] + net[0] * u0
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _at_second(v, free, net, u0, u1):
+    if len(free) == 0:
+        return v
+    return v + free[1] + net[0] * u0 + net[1] * (u1 - u0)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _at_end(v, free, net, u0, u2):
+    if len(free) == 0:
+        return v
+    return v + free[2] + net[2] * u0 + net[3] * (u2 - u0)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _store_fed(x, lane, net, u0, u1, u2, u3):
+    if len(net) != 0:
+        _put(x, FED, lane, u0)
+        _put(x, FED + 2, lane, _times(0.5, u1 + u2))
+        _put(x, FED + 4, lane, u3)
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _show_free(x, xi, seen):
+    """What the networks show of their states ``xi`` (m, LANES) alone, into its slots; ``seen`` (3, 2, m)."""
+    for place in range(3):
+        for row in range(2):
+            at = (FREE + 2 * place + row) * LANES
+            for lane in range(LANES):
+                x[at + lane] = 0.0
+            for k in range(xi.shape[0]):
+                weight = seen[place, row, k]
+                for lane in range(LANES):
+                    x[at + lane] += weight * xi[k, lane]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _feed(x, xi, work, net):
+    """The networks go one step, driven by what was fed in."""
+    for k in range(xi.shape[0]):
+        for lane in range(LANES):
+            work[k, lane] = (
+                net.start[k, 0] * x[(FED + 0) * LANES + lane]
+                + net.start[k, 1] * x[(FED + 1) * LANES + lane]
+                + net.middle[k, 0] * x[(FED + 2) * LANES + lane]
+                + net.middle[k, 1] * x[(FED + 3) * LANES + lane]
+                + net.end[k, 0] * x[(FED + 4) * LANES + lane]
+                + net.end[k, 1] * x[(FED + 5) * LANES + lane]
+            )
+        for j in range(xi.shape[0]):
+            weight = net.keep[k, j]
+            for lane in range(LANES):
+                work[k, lane] += weight * xi[j, lane]
+    for k in range(xi.shape[0]):
+        for lane in range(LANES):
+            xi[k, lane] = work[k, lane]
+
+
+@njit(forceinline=True)
+def _complex_of(m):
+    """The complex number that a (2, 2) matrix of pairs stands for."""
+    return complex(m[0, 0], m[1, 0])
+
+
 # ---------------------------------------------------------------------- the steps
 
 
@@ -574,13 +666,14 @@ def _hear_pcc(x, lane, y, v_s, p):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_forming(x, p, h, port, link):
-    """One step of every lane; ``port`` and ``link`` are `ABSENT` or `PRESENT`."""
+def _step_forming(x, p, h, port, link, net):
+    """One step of every lane; ``port`` and ``link`` are `ABSENT` or `PRESENT`, ``net`` is `ABSENT` or four weights."""
     for lane in range(LANES):
         constants, block = _constants(x, lane, p), _load_block(x, lane, port)
         v0, v1, v2 = _source(x, lane)
         y, c, n = _load_circuit(x, lane), _load_forming(x, lane), _load_notch(x, lane, port)
-        w = _load_link(x, lane, link)
+        w, free = _load_link(x, lane, link), _load_free(x, lane, net)
+        v0 = _at_start(v0, free)
         _hear_pcc(x, lane, y, v0, p)
         u, u_p = _cis(c[0]), _cis(c[5])
         units = u, u_p
@@ -590,20 +683,24 @@ def _step_forming(x, p, h, port, link):
         y_end, c_end, n_end = _moved_circuit(y, a, k), _moved_forming(c, a, m), _moved_notch(n, a, r)
         u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_forming(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
+        u1, v = z[2], _at_first(v1, free, net, y[2])
         units = _turned(u, d[0] - c[0]), _turned(u_p, d[5] - c[5])
-        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v1, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v, units, constants, block, p)
         w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_forming(c_end, b, m), _moved_notch(n_end, b, r)
         u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_forming(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
+        u2, v = z[2], _at_second(v1, free, net, y[2], u1)
         units = _turned(u, d[0] - c[0]), _turned(u_p, d[5] - c[5])
-        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v1, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v, units, constants, block, p)
         w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_forming(c_end, b, m), _moved_notch(n_end, b, r)
         u_dc = _moved_link(w, h, k_dc)
         z, d, o = _moved_circuit(y, h, k), _moved_forming(c, h, m), _moved_notch(n, h, r)
+        v = _at_end(v2, free, net, y[2], u2)
         units = _turned(u, d[0] - c[0]), _turned(u_p, d[5] - c[5])
-        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v2, units, constants, block, p)
+        k, k_dc, m, r = _forming_all(z, u_dc, d, o, v, units, constants, block, p)
+        _store_fed(x, lane, net, y[2], u1, u2, z[2])
         _store_link(x, lane, _moved_link(w_end, a, k_dc))
         _store_circuit(x, lane, _moved_circuit(y_end, a, k))
         _store_forming(x, lane, _moved_forming(c_end, a, m))
@@ -611,13 +708,14 @@ def _step_forming(x, p, h, port, link):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_following(x, p, h, port, link):
-    """One step of every lane; ``port`` and ``link`` are `ABSENT` or `PRESENT`."""
+def _step_following(x, p, h, port, link, net):
+    """One step of every lane; ``port`` and ``link`` are `ABSENT` or `PRESENT`, ``net`` is `ABSENT` or four weights."""
     for lane in range(LANES):
         constants, block = _constants(x, lane, p), _load_block(x, lane, port)
         v0, v1, v2 = _source(x, lane)
         y, c, n = _load_circuit(x, lane), _load_following(x, lane), _load_notch(x, lane, port)
-        w = _load_link(x, lane, link)
+        w, free = _load_link(x, lane, link), _load_free(x, lane, net)
+        v0 = _at_start(v0, free)
         _hear_pcc(x, lane, y, v0, p)
         u = _cis(c[0])
         a, b = h / 6.0, h / 3.0
@@ -626,17 +724,21 @@ def _step_following(x, p, h, port, link):
         y_end, c_end, n_end = _moved_circuit(y, a, k), _moved_following(c, a, m), _moved_notch(n, a, r)
         u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_following(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
-        k, k_dc, m, r = _following_all(z, u_dc, d, o, v1, _turned(u, d[0] - c[0]), constants, block, p)
+        u1, v = z[2], _at_first(v1, free, net, y[2])
+        k, k_dc, m, r = _following_all(z, u_dc, d, o, v, _turned(u, d[0] - c[0]), constants, block, p)
         w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_following(c_end, b, m), _moved_notch(n_end, b, r)
         u_dc = _moved_link(w, 0.5 * h, k_dc)
         z, d, o = _moved_circuit(y, 0.5 * h, k), _moved_following(c, 0.5 * h, m), _moved_notch(n, 0.5 * h, r)
-        k, k_dc, m, r = _following_all(z, u_dc, d, o, v1, _turned(u, d[0] - c[0]), constants, block, p)
+        u2, v = z[2], _at_second(v1, free, net, y[2], u1)
+        k, k_dc, m, r = _following_all(z, u_dc, d, o, v, _turned(u, d[0] - c[0]), constants, block, p)
         w_end = _moved_link(w_end, b, k_dc)
         y_end, c_end, n_end = _moved_circuit(y_end, b, k), _moved_following(c_end, b, m), _moved_notch(n_end, b, r)
         u_dc = _moved_link(w, h, k_dc)
         z, d, o = _moved_circuit(y, h, k), _moved_following(c, h, m), _moved_notch(n, h, r)
-        k, k_dc, m, r = _following_all(z, u_dc, d, o, v2, _turned(u, d[0] - c[0]), constants, block, p)
+        v = _at_end(v2, free, net, y[2], u2)
+        k, k_dc, m, r = _following_all(z, u_dc, d, o, v, _turned(u, d[0] - c[0]), constants, block, p)
+        _store_fed(x, lane, net, y[2], u1, u2, z[2])
         _store_link(x, lane, _moved_link(w_end, a, k_dc))
         _store_circuit(x, lane, _moved_circuit(y_end, a, k))
         _store_following(x, lane, _moved_following(c_end, a, m))
@@ -665,7 +767,28 @@ def _advance(step, port, link, table, x, n_tones, p, h, block_steps, slot, kept)
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            step(x, p, h, port, link)
+            step(x, p, h, port, link, ABSENT)
+        _keep(x, slot, kept, block)
+
+
+@njit(forceinline=True)
+def _advance_network(step, link, table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights):
+    """`_advance` with every lane behind a network of its own, all alike; compensated."""
+    net = (
+        _complex_of(weights.by_start),
+        _complex_of(weights.by_first),
+        _complex_of(weights.by_whole),
+        _complex_of(weights.by_second),
+    )
+    _prepare_source(x, n_tones)
+    row = 0
+    for block in range(kept.shape[0]):
+        _clear_sums(x)
+        for _ in range(block_steps):
+            row = _next_source(x, n_tones, table, row)
+            _show_free(x, xi, weights.seen)
+            step(x, p, h, PRESENT, link, net)
+            _feed(x, xi, work, weights)
         _keep(x, slot, kept, block)
 
 
@@ -737,3 +860,38 @@ def advance_following_linked(table, x, n_tones, p, h, block_steps, slot, kept):
 def advance_following_linked_compensated(table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_following` with a DC link of finite capacitance and the lanes' compensation before the controller."""
     _advance(_step_following, PRESENT, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_forming_network(table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights):
+    """`advance_forming_compensated` with every lane behind a network of its own, all alike.
+
+    Parameters
+    ----------
+    table, x, n_tones, p, h, block_steps, slot, kept
+        As of `advance_forming`; the lane's line is what the network lets through at once, the source's voltage what it
+        shows if the device feeds nothing in.
+    xi, work : (m, LANES) array
+        States of the lanes' networks, and room for them.
+    weights : Weights
+        What takes them through a step.
+    """
+    _advance_network(_step_forming, ABSENT, table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_forming_linked_network(table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights):
+    """`advance_forming_network` with a DC link of finite capacitance."""
+    _advance_network(_step_forming, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_following_network(table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights):
+    """`advance_forming_network` for a grid-following device."""
+    _advance_network(_step_following, ABSENT, table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights)
+
+
+@njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
+def advance_following_linked_network(table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights):
+    """`advance_following_network` with a DC link of finite capacitance."""
+    _advance_network(_step_following, PRESENT, table, x, n_tones, p, h, block_steps, slot, kept, xi, work, weights)

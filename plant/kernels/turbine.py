@@ -59,7 +59,12 @@ N_SOURCE_SLOTS = 12
 # one has a place of its own before the list.
 TONE = SOURCE + N_SOURCE_SLOTS
 N_TONE_SLOTS = 6
-TONES = TONE + N_TONE_SLOTS
+# Behind a network: v and i out of the turbine that it shows at start, middle and end of the step if nothing is fed in;
+# what is fed in at start, middle and end; the phasor of its frame.
+FREE = TONE + N_TONE_SLOTS
+FED = FREE + 12
+FRAME = FED + 6
+TONES = FRAME + 2
 
 # Blackman's taper, 0.42 - 0.5 cos + 0.08 cos(2 .) in powers of the cosine.
 TAPER_0, TAPER_1, TAPER_2 = 0.34, -0.5, 0.16

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from itertools import product
 from math import ceil, pi, sqrt
 
 import numpy as np
 
+from ..circuits.circuit import Circuit
+from ..circuits.dynamics import SOUND
 from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
-from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
+from ..lanes import Chart, aligned_zeros, n_tones_of, phasors_of, set_complex
 from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Compensation,
@@ -36,45 +37,17 @@ from ..protocol import (
     Window,
 )
 from ..space_vectors import PHASE_PEAK
+from . import behind_network as network
 from . import equilibrium as stationary
+from .flow import poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
+from .state import TurbineState
 from .tone_table import common_period, waveform
 
 _INTEGRATORS = ("rk4", "emt")
 
 _RESIDUAL_LIMIT = 1e-9
 """Largest change over one period, relative to rated, of a certified steady state."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TurbineState:
-    """All states of the turbine and what it is connected to; opaque to everybody else.
-
-    Attributes
-    ----------
-    step : int
-        Steps since time zero.
-    time_s : float
-        Time (s).
-    values : (21,) float
-        The kernel's states, read-only; the last four are the notch's at the measurement port.
-    wind_m_s : float
-        Wind speed (m/s).
-    i_q_ref_a : float
-        Set-point of the reactive current (A, power-invariant), positive where it leads.
-    v_source : complex
-        Source voltage in the dq frame (V, power-invariant).
-    source : Source
-        What feeds the PCC.
-    """
-
-    step: int
-    time_s: float
-    values: np.ndarray
-    wind_m_s: float
-    i_q_ref_a: float
-    v_source: complex
-    source: Source
 
 
 class ReferenceTurbine:
@@ -158,8 +131,9 @@ class ReferenceTurbine:
         grid_side = stationary.grid_side_equilibrium(p, power_va, terminal_voltage_v)
         self._check_limits(grid_side)
         v_source = grid_side.v_pcc
-        if source.kind == "thevenin":
-            v_source = stationary.thevenin_voltage(p, power_va, terminal_voltage_v, source.r_ohm, source.l_h)
+        if source.kind != "ideal":
+            grid = network.thevenin_of(source, p.w1_rad_s)
+            v_source = stationary.thevenin_voltage(p, power_va, terminal_voltage_v, grid.r_ohm, grid.l_h) / grid.gain
         turn = cmath.exp(1j * (source.angle_rad - cmath.phase(v_source)))
         i_l, v_c, i_g = grid_side.i_l * turn, grid_side.v_c * turn, grid_side.i_g * turn
         values = np.array(
@@ -172,29 +146,24 @@ class ReferenceTurbine:
             ]
         )
         values.setflags(write=False)
-        return TurbineState(0, 0.0, values, machine.wind_speed_m_s, grid_side.i_q_ref, v_source * turn, source)
+        state = TurbineState(0, 0.0, values, machine.wind_speed_m_s, grid_side.i_q_ref, v_source * turn, source)
+        return state if source.circuit is None else network.at_rest(state, p, self.dt_s)
 
     def linearise(self, state: TurbineState) -> np.ndarray:
         """Poles of the small-signal system around ``state`` in the dq frame (rad/s), worst first.
 
         Central differences of the plant's own flow over ten steps: what the stepper does, not what
         the equations say. With an ideal source the shunt (1e5 rad/s) and the unused line are left out,
-        without compensation its notch.
+        without compensation its notch; the states of a network are its own.
         """
         from ..kernels import turbine as kernel
 
-        n_steps = 10
-        kept = [*range(kernel.V_C_RE if state.source.kind == "ideal" else kernel.NOTCH)]
+        behind = state.source.kind
+        kept = [*range(kernel.NOTCH if behind == "thevenin" else kernel.V_C_RE)]
         if self._compensated:
             kept += range(kernel.NOTCH, kernel.N_STATES)
-        scale = 1e-5 * np.maximum(np.abs(state.values[kept]), 1.0)
-        units = np.eye(kernel.N_STATES)[kept]
-        moved = [state.values + sign * step * unit for step, unit in zip(scale, units, strict=True) for sign in (1, -1)]
-        jobs = [Job(self._moved(state, 0, x), None) for x in moved]
-        ends = np.array([end.values[kept] for end, _ in self.run(jobs, n_steps)])
-        flow = ((ends[0::2] - ends[1::2]) / (2.0 * scale[:, None])).T
-        poles = np.log(np.linalg.eigvals(flow).astype(complex)) / (n_steps * self.dt_s)
-        return poles[np.argsort(-poles.real)]
+        around = network.surroundings(Job(state, None), self.parameters, self.dt_s) if behind == "network" else None
+        return poles_of(self.run, Chart(state, kept, around), self.dt_s)
 
     def _certify(self, state: TurbineState) -> None:
         steps = max(1, round(1.0 / (self.f1_hz * self.dt_s)))
@@ -211,15 +180,16 @@ class ReferenceTurbine:
             raise NotSettled(f"the state changes by {residual:.2g} over one period; {_RESIDUAL_LIMIT:g} is needed")
 
     def _terminal_voltage(self, operating_point: OperatingPoint, source: Source) -> float:
-        check_source(operating_point, source)
+        check_source(operating_point, source, networks=self.integrator == "rk4")
         if operating_point.terminal_voltage_v is not None:
             return operating_point.terminal_voltage_v
         assert source.voltage_v is not None
         if source.kind == "ideal":
             return source.voltage_v
+        grid = network.thevenin_of(source, self.parameters.w1_rad_s)
         try:
             return stationary.terminal_voltage_for_source(
-                self.parameters, _power(operating_point), source.voltage_v, source.r_ohm, source.l_h
+                self.parameters, _power(operating_point), abs(grid.gain) * source.voltage_v, grid.r_ohm, grid.l_h
             )
         except SeqsweepError as error:
             raise NotSettled(str(error)) from None
@@ -272,24 +242,27 @@ class ReferenceTurbine:
 
         rows_per_s = 2.0 / self.dt_s
         in_frame = [
-            [
-                (f_hz - self.f1_hz, v / PHASE_PEAK)
-                for f_hz, v in series_tones(job.injection, source, _grid_impedance(source))
-            ]
+            [(f_hz - self.f1_hz, v / PHASE_PEAK) for f_hz, v in series_tones(job.injection, job.state.source)]
             for job in jobs
-            for source in [job.state.source]
         ]
         n_rows = 0 if self.integrator == "emt" else common_period(in_frame, rows_per_s)
         table = np.zeros((n_rows, 4, LANES))
         for lane in range(LANES if n_rows else 0):
             member = lane if lane < len(jobs) else 0  # idle lanes follow the first
             state = jobs[member].state
-            spectrum = [(0.0, state.v_source), *in_frame[member]]
-            forced = [(f_hz, self._shunt_voltage_ratio(f_hz + self.f1_hz) * v) for f_hz, v in spectrum]
-            for quantity, of in ((0, spectrum), (2, forced)):
+            forced = self._forced(jobs[member])
+            for quantity, of in ((0, [(f, v) for f, v, _ in forced]), (2, [(f, other) for f, _, other in forced])):
                 wave = waveform(of, rows_per_s, n_rows, 2 * state.step)
                 table[:, quantity, lane], table[:, quantity + 1, lane] = wave.real, wave.imag
         return table
+
+    def _forced(self, job: Job) -> list[network.Forced]:
+        """What the source and the tones of a job force: the PCC's voltage, and the shunt's or, of a network, i_g."""
+        if job.state.source.circuit is not None:
+            return network.surroundings(job, self.parameters, self.dt_s).forced(self.f1_hz)
+        tones = series_tones(job.injection, job.state.source)
+        voltages = [(0.0, job.state.v_source), *((f_hz - self.f1_hz, v / PHASE_PEAK) for f_hz, v in tones)]
+        return [network.Forced(f, v, self._shunt_voltage_ratio(f + self.f1_hz) * v) for f, v in voltages]
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
@@ -299,7 +272,7 @@ class ReferenceTurbine:
         for lanes, members, advance, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
             samples = np.empty((n_steps, 4, kernel.LANES))
             advance(lanes, n_tones, self.parameters, self.dt_s, 1, kernel.V_RE, samples)
-            ends = self._ends(lanes, [jobs[m] for m in members], n_steps)
+            ends = self._ends(lanes, [jobs[m] for m in members], n_steps, advance)
             for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
                 results[member] = end, self._record(jobs[member].state, samples[:, :, lane])
         return results
@@ -314,7 +287,7 @@ class ReferenceTurbine:
         for lanes, members, advance, n_tones in self._batches(jobs, windows, block_steps):
             sums = np.empty((n_blocks, 8, kernel.LANES))
             advance(lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
-            ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks)
+            ends = self._ends(lanes, [jobs[m] for m in members], block_steps * n_blocks, advance)
             for member, end, phasors in zip(members, ends, phasors_of(sums, PHASE_PEAK, -PHASE_PEAK), strict=False):
                 results[member] = end, phasors
         return results
@@ -331,28 +304,51 @@ class ReferenceTurbine:
         -----
         A bolted fault leaves the shunt its own time constant Rf Cf (10 us): steps are cut to that.
         """
-        from ..kernels import turbine as kernel
-
-        if state.source.kind != "thevenin":
+        if state.source.kind == "ideal":
             raise SeqsweepError("trace needs a state behind a thevenin source; this one has an ideal source")
         start = self._surrounded(state, conditions)
+        of_scaled_law = self.parameters._replace(k_opt=self.parameters.k_opt * conditions.power_scale)
+        along = self._traced if start.source.circuit is None else self._traced_in_network
+        end, samples = along(start, conditions, of_scaled_law, n_steps)
+        sync = samples[:, 6] - cmath.phase(state.v_source)
+        return end, Trace(self._record(start, samples), samples[:, 4], samples[:, 5], sync)
+
+    def _traced(
+        self, start: TurbineState, conditions: Conditions, p: TurbineParameters, n_steps: int
+    ) -> tuple[TurbineState, np.ndarray]:
+        """State and samples (n_steps, 7) behind R and L."""
+        from ..kernels import turbine as kernel
+
         lane = self._lane(Job(start, None), Window(0.0, 1), 1, 0)
         self._set_port(lane, start, conditions)
         lanes = np.repeat(lane, kernel.LANES)
-        p = self.parameters
-        p = p._replace(k_opt=p.k_opt * conditions.power_scale)
         cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
         samples = np.empty((n_steps, 7))
         kernel.advance_tracing(_kind(Job(start, None))[1] or None, lanes, p, self.dt_s / cut, cut, samples)
         (end,) = self._ends(lanes, [Job(start, None)], n_steps)
-        sync = samples[:, 6] - cmath.phase(state.v_source)
-        return end, Trace(self._record(start, samples), samples[:, 4], samples[:, 5], sync)
+        return end, samples
+
+    def _traced_in_network(
+        self, start: TurbineState, conditions: Conditions, p: TurbineParameters, n_steps: int
+    ) -> tuple[TurbineState, np.ndarray]:
+        """State and samples (n_steps, 7) behind a network, a fault being a part of it."""
+        job = Job(start, None)
+        lane = self._lane(job, Window(0.0, 1), 1, 1)
+        self._set_port(lane, start, replace(conditions, fault_s=SOUND))
+        lanes, samples, after = network.traced(lane, job, _kind(job)[1], p, self.dt_s, conditions.fault_s, n_steps)
+        (end,) = self._ends(lanes, [job], n_steps)
+        return after(end), samples
 
     def _surrounded(self, state: TurbineState, conditions: Conditions) -> TurbineState:
         """The state with the conditions' grid and wind."""
         return replace(
             state,
-            source=replace(state.source, r_ohm=conditions.r_ohm, l_h=conditions.l_h),
+            source=replace(
+                state.source,
+                r_ohm=conditions.r_ohm,
+                l_h=conditions.l_h,
+                circuit=conditions.circuit or state.source.circuit,
+            ),
             wind_m_s=state.wind_m_s if conditions.wind_m_s is None else conditions.wind_m_s,
         )
 
@@ -376,15 +372,22 @@ class ReferenceTurbine:
         """
         from ..kernels.turbine import LANES
 
-        for kind, reactive in product(("ideal", "thevenin"), (False, True)):
-            of_kind = [m for m, job in enumerate(jobs) if _kind(job) == (kind, reactive)]
+        for kind in sorted({_kind(job) for job in jobs}, key=_order):
+            of_kind = [m for m, job in enumerate(jobs) if _kind(job) == kind]
             for first in range(0, len(of_kind), LANES):
                 members = of_kind[first : first + LANES]
                 together = [jobs[m] for m in members]
                 table = self._source_table(together)
                 n_tones = 0 if len(table) else max(n_tones_of(job.injection) for job in together)
                 slots = self._fill(together, [windows[m] for m in members], block_steps, n_tones)
-                yield slots.ravel(), members, self._kernel(kind, reactive, table), n_tones
+                yield slots.ravel(), members, self._kernel_for(together, table), n_tones
+
+    def _kernel_for(self, jobs: list[Job], table: np.ndarray) -> Callable[..., None]:
+        """What steps jobs of one kind."""
+        source, reactive, circuit = _kind(jobs[0])
+        if circuit is not None:
+            return network.NetworkKernel(jobs, reactive, table, self.parameters, self.dt_s)
+        return self._kernel(source, reactive, table)
 
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
         from ..kernels import turbine as kernel
@@ -419,12 +422,14 @@ class ReferenceTurbine:
         set_complex(x, kernel.TAPER_ROT_RE, turns(1.0 / (window.n_blocks * block_steps)))
         mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
         x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
-        tones = list(series_tones(job.injection, source, _grid_impedance(source)))
+        tones = list(series_tones(job.injection, source))
         for tone, (f_hz, amplitude) in enumerate(tones[:n_tones]):  # the others are in the table
             slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
             set_complex(x, slot, amplitude / PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
             set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))
             set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
+        if source.circuit is not None:
+            network.set_sources(x, self._forced(job), n_tones, state.time_s, 0.5 * self.dt_s)
         return x
 
     def _shunt_voltage_ratio(self, f_hz: float) -> complex:
@@ -432,11 +437,15 @@ class ReferenceTurbine:
         p = self.parameters
         return 1.0 / (1.0 + 2j * pi * f_hz * p.r_f_ohm * p.c_f_f)
 
-    def _ends(self, lanes: np.ndarray, jobs: list[Job], n_steps: int) -> list[TurbineState]:
+    def _ends(
+        self, lanes: np.ndarray, jobs: list[Job], n_steps: int, advance: Callable[..., None] | None = None
+    ) -> list[TurbineState]:
+        """The turbines' states after ``advance``, which knows those of their networks."""
         from ..kernels.turbine import LANES, N_STATES
 
         values = lanes.reshape(-1, LANES)[:N_STATES].T.copy()
-        return [self._moved(job.state, n_steps, x) for job, x in zip(jobs, values, strict=False)]
+        ends = [self._moved(job.state, n_steps, x) for job, x in zip(jobs, values, strict=False)]
+        return advance.finished(ends) if isinstance(advance, network.NetworkKernel) else ends
 
     def _record(self, state: TurbineState, samples: np.ndarray) -> Record:
         time_s = (state.step + np.arange(len(samples))) * self.dt_s
@@ -446,9 +455,15 @@ class ReferenceTurbine:
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
 
 
-def _kind(job: Job) -> tuple[str, bool]:
-    """Kind of the source, and whether reactive power is asked for."""
-    return job.state.source.kind, job.state.i_q_ref_a != 0.0
+def _kind(job: Job) -> tuple[str, bool, Circuit | None]:
+    """Kind of the source, whether reactive power is asked for, and the network."""
+    return job.state.source.kind, job.state.i_q_ref_a != 0.0, job.state.source.circuit
+
+
+def _order(kind: tuple[str, bool, Circuit | None]) -> tuple[str, bool, str]:
+    """Ideal sources first, then lines, then networks."""
+    source, reactive, circuit = kind
+    return {"ideal": "0", "thevenin": "1"}.get(source, "2"), reactive, "" if circuit is None else repr(circuit)
 
 
 def _power(operating_point: OperatingPoint) -> complex:
@@ -476,7 +491,3 @@ def _fault_division(r_f_ohm: float, fault_s: tuple[float, float, float]) -> tupl
     aa, ab, bb = fault_s
     inverse = np.linalg.inv(np.eye(2) + r_f_ohm * np.array([[aa, ab], [ab, bb]]))
     return 0.5 * (inverse[0, 0] + inverse[1, 1]), complex(0.5 * (inverse[0, 0] - inverse[1, 1]), inverse[0, 1])
-
-
-def _grid_impedance(source: Source) -> Callable[[float], complex]:
-    return lambda f_hz: source.r_ohm + 2j * pi * f_hz * source.l_h

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
 from ...plant.errors import closest
+from .elements import with_elements
 from .file import Keys, shown
 from .sections import (
     MIN_ADAPTIVE_POINTS,
@@ -30,9 +33,15 @@ class Problem(NamedTuple):
     text: str
 
 
-def checked(data: Mapping[str, Any]) -> tuple[Config | None, list[Problem]]:
-    """The campaign and no problems, or no campaign and all problems in the order of the sections."""
-    named = _with_ids(data)
+def checked(data: Mapping[str, Any], folder: Path) -> tuple[Config | None, list[Problem]]:
+    """The campaign and no problems, or no campaign and all problems in the order of the sections.
+
+    Files of elements are named relative to ``folder``.
+    """
+    full, misread = with_elements(data, folder)
+    if misread:
+        return None, [Problem(*each) for each in misread]
+    named = _with_ids(full)
     problems = list(_contradictions(named))
     try:
         config = Config.model_validate(named)
@@ -60,6 +69,8 @@ def _with_id(point: Mapping[str, Any]) -> dict[str, Any]:
         parts += [("r", grid.get("r_ohm")), ("x", grid.get("x_ohm"))]
         parts += [("e", grid.get("voltage_pu", 1.0)), ("s", grid.get("scale", 1.0))]
     values = [f"{letter}{number:.15g}" for letter, value in parts if (number := _number(value)) is not None]
+    if isinstance(grid, Mapping) and isinstance(grid.get("elements"), Mapping):
+        values.append(f"g{re.sub(r'[^A-Za-z0-9_.-]', '_', str(grid['elements'].get('name', 'elements')))}")
     made = "-".join(values).replace("+", "") or "unnamed"
     return {"id": made, **point}
 
@@ -137,6 +148,7 @@ def _model(keys: Keys) -> type[BaseModel] | None:
         ("sweep", "operating_points"): OperatingPointsSection,
         ("injection",): InjectionSection,
         ("source",): SourceSection,
+        ("source", "grid"): GridSection,
     }
     return models.get(tuple("*" if isinstance(key, int) else key for key in keys))
 
@@ -205,6 +217,7 @@ def _points(points: Sequence[Any]) -> Iterator[Problem]:
         if isinstance(name, str) and first.setdefault(name, index) != index:
             text = f"{shown(name)} is also operating_point.{first[name]}; every operating point needs its own id"
             yield Problem(("operating_point", index, "id"), text)
+        yield from _grid(("operating_point", index, "grid"), point.get("grid"))
         given = [key for key in ("terminal_voltage_pu", "grid") if point.get(key) is not None]
         if len(given) == 2:
             yield Problem(
@@ -216,6 +229,20 @@ def _points(points: Sequence[Any]) -> Iterator[Problem]:
             if not any(closest(str(key), ["terminal_voltage_pu"]) for key in point):
                 yield Problem(("operating_point", index, "terminal_voltage_pu"), text)
 
+
+def _grid(keys: Keys, grid: Any) -> Iterator[Problem]:
+    """A grid is R and X, or elements."""
+    if not isinstance(grid, Mapping):
+        return
+    elements = grid.get("elements") is not None
+    for key in ("r_ohm", "x_ohm"):
+        if elements and key in grid:
+            yield Problem((*keys, key), "given beside elements; needed: only one of them")
+        elif not elements and key not in grid and not closest(key, [str(k) for k in grid if k not in _GRID_KEYS]):
+            yield Problem((*keys, key), f"missing; needed: {_needed((*keys, key))}")
+
+
+_GRID_KEYS = tuple(GridSection.model_fields)
 
 _RANGE = ("f_min_hz", "f_max_hz", "points")
 
@@ -276,11 +303,16 @@ def _source(source: Mapping[str, Any], injection: Mapping[str, Any], points: Seq
     impedance = [key for key in ("r_ohm", "x_ohm") if _number(source.get(key))]
     if kind == "ideal":
         yield from _ideal(injection, impedance)
-        if source.get("settle_on") is not None:
-            yield Problem(("source", "settle_on"), 'given, but on an ideal source; needed: kind = "thevenin"')
+        for key in ("settle_on", "grid"):
+            if source.get(key) is not None:
+                yield Problem(("source", key), 'given, but on an ideal source; needed: kind = "thevenin"')
     elif kind == "thevenin" and any(with_grid) and all(with_grid):
         for key in impedance:
             yield Problem(("source", key), "given beside the grid of every operating point; needed: only one of them")
+    elif kind == "thevenin" and source.get("grid") is not None:
+        yield from _grid(("source", "grid"), source["grid"])
+        for key in impedance:
+            yield Problem(("source", key), "given beside grid; needed: only one of them")
     elif kind == "thevenin" and source.get("x_ohm", 0) == 0:
         given = "given 0" if "x_ohm" in source else "missing"
         yield Problem(("source", "x_ohm"), f"{given}; needed: {_needed(('source', 'x_ohm'))}")

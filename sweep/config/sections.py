@@ -49,10 +49,13 @@ class PlantSection(_Section):
 
 
 class GridSection(_Section):
-    """A Thevenin grid of one operating point; its impedance counts ``scale`` times."""
+    """A Thevenin grid of one operating point, R + jX or elements; its impedance counts ``scale`` times."""
 
-    r_ohm: NotNegative = Field(description="a number of at least 0, in ohm")
-    x_ohm: Positive = Field(description="a number above 0, in ohm at f1")
+    r_ohm: NotNegative | None = Field(default=None, description="a number of at least 0, in ohm")
+    x_ohm: Positive | None = Field(default=None, description="a number above 0, in ohm at f1")
+    elements: dict[str, Any] | None = Field(
+        default=None, description='the name of a file of elements, such as "grid.toml", in place of r_ohm and x_ohm'
+    )
     voltage_pu: Positive = Field(default=1.0, description="a number above 0, in pu")
     scale: Positive = Field(default=1.0, description="a number above 0, multiplies r_ohm and x_ohm")
 
@@ -69,7 +72,8 @@ class OperatingPointSection(_Section):
     )
     terminal_voltage_pu: Positive | None = Field(default=None, description="a number above 0, in pu")
     grid: GridSection | None = Field(
-        default=None, description="a table { r_ohm = 0.012, x_ohm = 0.25, voltage_pu = 1.0, scale = 1.0 }"
+        default=None,
+        description='a table { r_ohm = 0.012, x_ohm = 0.25, voltage_pu = 1.0, scale = 1.0 }, or a file "grid.toml"',
     )
 
 
@@ -169,6 +173,9 @@ class SourceSection(_Section):
     kind: Literal["ideal", "thevenin"] = Field(default="ideal", description='"ideal" or "thevenin"')
     r_ohm: NotNegative = Field(default=0.0, description="a number of at least 0, in ohm")
     x_ohm: NotNegative = Field(default=0.0, description="a number above 0 for a thevenin source, in ohm at f1")
+    grid: GridSection | None = Field(
+        default=None, description='the name of a file of elements, such as "grid.toml", in place of r_ohm and x_ohm'
+    )
     settle_on: FriendlyGrid | None = Field(
         default=None, description="a table { r_ohm = 0.0, x_ohm = 0.1 }, the grid on which the device is settled first"
     )
@@ -203,7 +210,7 @@ class Config(_Section):
         """
         from .checks import checked  # late: it knows the sections above
 
-        config, problems = checked(data)
+        config, problems = checked(data, Path())
         if config is None:
             raise ConfigError([f"{dotted(keys)}: {text}" for keys, text in problems])
         return config
@@ -231,7 +238,7 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     data = parse(text, path)
     lines = line_numbers(text, data)
     settings = apply(overrides, data)
-    config, problems = checked(data)
+    config, problems = checked(data, Path(path).parent)
     if config is None:
         in_order = sorted(problems, key=lambda problem: line_of(problem.keys, lines) or 0)
         raise ConfigError([f"{place_of(path, p.keys, lines, settings)}: {dotted(p.keys)}: {p.text}" for p in in_order])

@@ -8,6 +8,7 @@ trial voltages and its fundamental current is read at the terminals; the voltage
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -36,7 +37,7 @@ def reached(plant: Plant, source: Source, condition: Condition) -> tuple[Source,
     if condition.grid is None:
         return source, operating_point(condition)
     q_var = condition.reactive_power_var
-    if source.kind == "thevenin":  # the device finds its own voltage there, and never stands on an ideal source
+    if source.kind != "ideal":  # the device finds its own voltage there, and never stands on an ideal source
         behind = replace(feeding(source, condition), voltage_v=condition.grid.voltage_v)
         return behind, OperatingPoint(condition.active_power_w, None, q_var)
     voltage_v = terminal_voltage(plant, condition.active_power_w, condition.grid, q_var)
@@ -47,7 +48,9 @@ def feeding(source: Source, condition: Condition) -> Source:
     """The source that feeds the PCC at ``condition``: a Thevenin source of one with its own grid *is* that grid."""
     if source.kind == "ideal" or condition.grid is None:
         return source
-    return replace(source, r_ohm=condition.grid.r_ohm, l_h=condition.grid.l_h)
+    grid = condition.grid
+    kind: Literal["thevenin", "network"] = "thevenin" if grid.circuit is None else "network"
+    return replace(source, kind=kind, r_ohm=grid.r_ohm, l_h=grid.l_h, circuit=grid.circuit)
 
 
 def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid, reactive_power_var: float = 0.0) -> float:
@@ -61,16 +64,17 @@ def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid, reactive_p
         If no voltage in the plant's range satisfies the grid.
     """
     low, high = plant.operating_range.terminal_voltage_v
+    source_v = grid.no_load * grid.voltage_v
     z = grid.r_ohm + 2j * np.pi * plant.f1_hz * grid.l_h
 
     def excess(v: float) -> float:
         point = OperatingPoint(active_power_w, v, reactive_power_var)
-        return abs(v + z * _current(plant, point)) - grid.voltage_v
+        return abs(v + z * _current(plant, point)) - source_v
 
-    before, now = min(high, 1.02 * grid.voltage_v), min(high, grid.voltage_v) * 0.999
+    before, now = min(high, 1.02 * source_v), min(high, source_v) * 0.999
     f_before, f_now = excess(before), excess(now)
     for _ in range(MAX_TRIALS):
-        if abs(f_now) <= TOLERANCE * grid.voltage_v:
+        if abs(f_now) <= TOLERANCE * source_v:
             return now
         slope = (f_now - f_before) / (now - before)
         if slope <= 0.0:
@@ -81,7 +85,7 @@ def terminal_voltage(plant: Plant, active_power_w: float, grid: Grid, reactive_p
             break
         f_now = excess(now)
     raise NotSettled(
-        f"the grid of {z.real:.4g} + j{z.imag:.4g} ohm at {grid.voltage_v:.4g} V has no operating point with "
+        f"the grid of {z.real:.4g} + j{z.imag:.4g} ohm at {source_v:.4g} V has no operating point with "
         f"{active_power_w / 1e6:.4g} MW and |v_pcc| between {low:.4g} and {high:.4g} V"
     )
 

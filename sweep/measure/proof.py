@@ -52,8 +52,19 @@ def stable_on(plan: Plan, condition: Condition, rows: Sequence[Row]) -> dict[str
     }
 
 
-def _grid(plan: Plan, condition: Condition) -> str | dict[str, float]:
+def _grid(plan: Plan, condition: Condition) -> str | dict[str, Any]:
     source = feeding(plan.source, condition)
     if source.kind == "ideal":
         return "ideal"
-    return {"r_ohm": source.r_ohm, "x_ohm": 2.0 * pi * plan.f1_hz * source.l_h}
+    if source.circuit is None:
+        return {"r_ohm": source.r_ohm, "x_ohm": 2.0 * pi * plan.f1_hz * source.l_h}
+    z = source.circuit.seen_at(2j * pi * plan.f1_hz)[0]
+    return {"r_ohm": z.real, "x_ohm": z.imag, **_elements(plan, condition)}
+
+
+def _elements(plan: Plan, condition: Condition) -> dict[str, Any]:
+    """The document behind a circuit, and what its impedance was multiplied with."""
+    if condition.grid is not None:
+        return {"elements": condition.grid.document, "scale": condition.grid.scale}
+    section = plan.configuration["source"]["grid"]
+    return {"elements": section["elements"], "scale": section["scale"]}

@@ -84,10 +84,10 @@ def draw(axes: np.ndarray, result: Verification) -> None:
     handles, labels = axes[0].get_legend_handles_labels()
     figure = axes[0].figure
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    grid = result.tuned.grid
+    z = result.tuned.grid.at_f1
     figure.suptitle(
         f"{result.tuned.plant.id} at {result.scenario.active_power_w / 1e6:.3g} MW, "
-        rf"tuned grid {grid.r_ohm:.3g} + j{grid.x_ohm:.3g} $\Omega$",
+        rf"tuned grid {z.real:.3g} + j{z.imag:.3g} $\Omega$",
         fontsize=10,
     )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...identify.files import write_json as write_whole
-from ...plant.damping.events import Event, Fault
+from ...plant.damping.events import CircuitStep, Event, Fault
 from ...tuning.layout import wrapped
 from .reading import RunReport, WindowReport
 from .runs import Verification
@@ -34,11 +34,12 @@ def to_json(result: Verification) -> dict[str, Any]:
             "tool": {"name": "seqsweep", "version": version("seqsweep")},
             "op_id": tuned.op_id,
             "plant": tuned.plant.id,
-            "grid": {"r_ohm": tuned.grid.r_ohm, "x_ohm": tuned.grid.x_ohm, "f1_hz": tuned.grid.f1_hz},
+            "grid": {"r_ohm": tuned.grid.at_f1.real, "x_ohm": tuned.grid.at_f1.imag, "f1_hz": tuned.grid.f1_hz},
             "scenario": {
-                **{key: value for key, value in asdict(scenario).items() if key != "events"},
+                **{key: value for key, value in asdict(scenario).items() if key not in ("events", "circuit")},
+                **({} if scenario.circuit is None else {"circuit": scenario.circuit.facts()}),
                 "duration_s": result.duration_s,
-                "events": [{"kind": type(event).__name__, **asdict(event)} for event in scenario.events],
+                "events": [_event_json(event) for event in scenario.events],
             },
             "damping": {
                 "k": settings.k,
@@ -53,6 +54,14 @@ def to_json(result: Verification) -> dict[str, Any]:
         }
     )
     return content
+
+
+def _event_json(event: Event) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    if isinstance(event, CircuitStep):
+        return {"kind": "CircuitStep", "time_s": event.time_s, "what": event.what, "circuit": event.circuit.facts()}
+    return {"kind": type(event).__name__, **asdict(event)}
 
 
 def write_json(result: Verification, path: str | Path) -> None:
@@ -88,7 +97,7 @@ def _headline(result: Verification) -> str:
     return (
         f"{tuned.op_id}: {tuned.plant.id} at {scenario.active_power_w / 1e6:.4g} MW, source "
         f"{scenario.source_voltage_v / tuned.plant.rating.voltage_v:.4g} pu behind {scenario.scale:.4g} x "
-        f"({tuned.grid.r_ohm:.4g} + j{tuned.grid.x_ohm:.4g}) ohm; {events or 'no event'}"
+        f"({tuned.grid.at_f1.real:.4g} + j{tuned.grid.at_f1.imag:.4g}) ohm; {events or 'no event'}"
     )
 
 
@@ -100,6 +109,8 @@ def _damping_line(result: Verification) -> str:
 def _in_words(event: Event) -> str:
     if isinstance(event, Fault):
         return f"fault {event.kind} through {event.r_ohm:g} ohm at {event.time_s:g} s for {1e3 * event.duration_s:g} ms"
+    if isinstance(event, CircuitStep):
+        return f"{event.what} at {event.time_s:g} s"
     names = {"scale": "grid x {:.4g}", "count": "{:g} turbines", "wind_m_s": "wind {:g} m/s"}
     for name, text in names.items():
         if hasattr(event, name):

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...plant.damping.control import DampingSettings
-from ...plant.damping.events import Scenario, Trajectory, conditions_at, simulate
+from ...plant.damping.events import Scenario, Trajectory, conditions_at, simulate, source_of
 from ...plant.errors import SeqsweepError, in_words
-from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
-from ...tuning.siso import SeriesRL
+from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant
+from ...tuning.grids.elements import CircuitGrid
+from ...tuning.siso import Grid, SeriesRL
 from .reading import RunReport, report
 from .scenario import Story
 from .tuned import Tuned, VerifyError, scenario_of, settings_of
@@ -60,10 +61,15 @@ def cause_gone_of(response: FrequencyResponse) -> CauseGone:
     model = fit_response(response)
 
     def gone(conditions: Conditions) -> bool:
-        x_ohm = 2.0 * np.pi * model.f1_hz * conditions.l_h
-        return judge(model, SeriesRL(conditions.r_ohm, x_ohm, model.f1_hz)).verdict == "stable"
+        return judge(model, _grid_of(conditions, model.f1_hz)).verdict == "stable"
 
     return gone
+
+
+def _grid_of(conditions: Conditions, f1_hz: float) -> Grid:
+    if conditions.circuit is not None:
+        return CircuitGrid(f1_hz, conditions.circuit)
+    return SeriesRL(conditions.r_ohm, 2.0 * np.pi * f1_hz * conditions.l_h, f1_hz)
 
 
 def verify(tuned: Tuned, story: Story | None = None, cause_gone: CauseGone | None = None) -> Verification:
@@ -128,7 +134,7 @@ def has_equilibrium(plant: Plant, scenario: Scenario, time_s: float) -> bool:
     """Whether the device has a periodic state, stable or not, on what surrounds it at ``time_s``."""
     assert isinstance(plant, MeasuredPlant)
     now = conditions_at(scenario, time_s)
-    source = Source("thevenin", now.r_ohm, now.l_h, voltage_v=scenario.source_voltage_v)
+    source = source_of(now, scenario.source_voltage_v)
     try:
         plant.equilibrium(
             OperatingPoint(scenario.active_power_w * now.power_scale, None, scenario.reactive_power_var), source

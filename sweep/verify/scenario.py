@@ -8,7 +8,7 @@ Impedances count in multiples of the tuned grid, so that one file serves every t
     source_voltage_pu = 1.0     # else what the operating point says
 
     [[event]]
-    kind = "grid_step"          # or turbine_step, fault, wind_step, power_step
+    kind = "grid_step"          # or turbine_step, fault, wind_step, power_step; of elements switch, element_step
     time_s = 0.1
     scale = 1.0
 """
@@ -35,6 +35,24 @@ class ScenarioError(SeqsweepError):
 
 
 @dataclass(frozen=True, slots=True)
+class Switch:
+    """From ``time_s`` on an element of the tuned grid is in service, or not."""
+
+    time_s: float
+    element: str
+    in_service: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ElementStep:
+    """From ``time_s`` on numbers of an element of the tuned grid are others."""
+
+    time_s: float
+    element: str
+    values: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Story:
     """What happens, wherever it happens; what is None the operating point decides.
 
@@ -54,7 +72,7 @@ class Story:
 
     duration_s: float = DURATION_S
     scale: float = BEFORE_STEP
-    events: tuple[Event, ...] = (GridStep(STEP_S, 1.0),)
+    events: tuple[Event | Switch | ElementStep, ...] = (GridStep(STEP_S, 1.0),)
     turbines: float = 1.0
     active_power_w: float | None = None
     source_voltage_pu: float | None = None
@@ -89,6 +107,7 @@ _KINDS: dict[str, tuple[str, ...]] = {
     "fault": ("fault", "duration_s", "r_ohm"),
     "wind_step": ("wind_m_s",),
     "power_step": ("active_power_mw",),
+    "switch": ("element", "in_service"),
 }
 
 
@@ -105,10 +124,12 @@ def story_of(data: Mapping[str, Any]) -> Story:
     return Story(**{"scale": 1.0, **values}, events=events)
 
 
-def _event(entry: Mapping[str, Any], where: str) -> Event:
+def _event(entry: Mapping[str, Any], where: str) -> Event | Switch | ElementStep:
     kind = entry.get("kind")
+    if kind == "element_step":
+        return _element_step(entry, where)
     if kind not in _KINDS:
-        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(_KINDS)}")
+        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(_KINDS)}, element_step")
     _refuse_unknown(entry, ("kind", "time_s", *_KINDS[kind]), f"{where} ({kind})")
     time_s = _number(entry, "time_s", where)
     if kind == "grid_step":
@@ -119,8 +140,29 @@ def _event(entry: Mapping[str, Any], where: str) -> Event:
         return WindStep(time_s, _number(entry, "wind_m_s", where))
     if kind == "power_step":
         return PowerStep(time_s, 1e6 * _number(entry, "active_power_mw", where))
+    if kind == "switch":
+        return Switch(time_s, _element(entry, where), _in_service(entry, where))
     r_ohm = _number(entry, "r_ohm", where) if "r_ohm" in entry else 0.01
     return Fault(time_s, _number(entry, "duration_s", where), entry.get("fault", "a-b-c"), r_ohm)
+
+
+def _element_step(entry: Mapping[str, Any], where: str) -> ElementStep:
+    values = tuple((key, _number(entry, key, where)) for key in entry if key not in ("kind", "time_s", "element"))
+    if not values:
+        raise ScenarioError(f"{where}: no number of the element; needed is one or more, as compensation_percent = 40")
+    return ElementStep(_number(entry, "time_s", where), _element(entry, where), values)
+
+
+def _element(entry: Mapping[str, Any], where: str) -> str:
+    if not isinstance(entry.get("element"), str):
+        raise ScenarioError(f"{where}: element is {entry.get('element')!r}; needed is the name of one, in quotes")
+    return str(entry["element"])
+
+
+def _in_service(entry: Mapping[str, Any], where: str) -> bool:
+    if not isinstance(entry.get("in_service"), bool):
+        raise ScenarioError(f"{where}: in_service is {entry.get('in_service')!r}; needed is true or false")
+    return bool(entry["in_service"])
 
 
 def _number(data: Mapping[str, Any], key: str, where: str) -> float:

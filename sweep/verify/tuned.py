@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...plant.damping.control import DampingSettings
-from ...plant.damping.events import Scenario
+from ...plant.damping.events import Scenario, conditions_at, source_of
 from ...plant.errors import SeqsweepError, place_of
-from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant, Source
+from ...plant.protocol import MeasuredPlant, NotSettled, OperatingPoint, Plant, reactance_to_inductance
 from ...plant.registry import make_plant
 from ...plant.space_vectors import LINE_RMS
-from ...tuning.siso import SeriesRL
+from ...tuning.gain import virtual_impedance
+from ...tuning.grids.elements import elements_grid
+from ...tuning.grids.in_time import circuit_of_grid
+from ...tuning.siso import Grid, SeriesRL
 from .scenario import Story
+from .switching import circuits_of
 
 
 class VerifyError(SeqsweepError):
@@ -33,7 +39,7 @@ class Tuned:
 
     op_id: str
     plant: Plant
-    grid: SeriesRL
+    grid: Grid
     active_power_w: float
     terminal_voltage_v: float | None
     source_voltage_v: float | None
@@ -97,7 +103,7 @@ def tuned_of(
     return Tuned(
         op_id=section.id,
         plant=plant,
-        grid=SeriesRL(grid["r_ohm"], grid["x_ohm"], grid["f1_hz"]),
+        grid=grid,
         active_power_w=section.active_power_mw * 1e6,
         terminal_voltage_v=None if pcc_pu is None else pcc_pu * u,
         source_voltage_v=None if section.grid is None else section.grid.voltage_pu * u,
@@ -122,21 +128,33 @@ def scenario_of(tuned: Tuned, story: Story) -> Scenario:
         voltage_v = story.source_voltage_pu * tuned.plant.rating.voltage_v
     if voltage_v is None:
         voltage_v = _source_voltage_v(tuned)
+    circuit, events = circuits_of(tuned.grid, story.events)
+    return replace(
+        scenario_of_voltage(tuned, voltage_v),
+        active_power_w=power_w,
+        events=events,
+        scale=story.scale,
+        turbines=story.turbines,
+        circuit=circuit,
+    )
+
+
+def scenario_of_voltage(tuned: Tuned, voltage_v: float) -> Scenario:
+    """The device on the tuned grid with ``voltage_v`` (V) behind it, and nothing happens."""
+    z = tuned.grid.at_f1
     return Scenario(
-        power_w,
-        tuned.grid.r_ohm,
-        tuned.grid.l_h,
+        tuned.active_power_w,
+        z.real,
+        reactance_to_inductance(z.imag, tuned.grid.f1_hz),
         voltage_v,
-        story.events,
-        story.scale,
-        story.turbines,
-        tuned.reactive_power_var,
+        reactive_power_var=tuned.reactive_power_var,
+        circuit=circuit_of_grid(tuned.grid),
     )
 
 
 def settings_of(tuned: Tuned) -> DampingSettings:
     """Damping control as it was tuned."""
-    behind = tuned.impedance or tuned.grid
+    behind = tuned.impedance or virtual_impedance(tuned.grid, tuned.f_r_hz)
     return DampingSettings(tuned.k, behind.r_ohm, behind.l_h, resonance_hz=tuned.f_r_hz, f1_hz=tuned.plant.f1_hz)
 
 
@@ -155,25 +173,33 @@ def _point(content: Mapping[str, Any], op_id: str, scale: float | None) -> Mappi
     return found[0]
 
 
-def _grid(content: Mapping[str, Any], point: Mapping[str, Any]) -> Mapping[str, Any]:
+def _grid(content: Mapping[str, Any], point: Mapping[str, Any]) -> Grid:
     """The grid of an entry, scale included; that of the whole tuning before version 1.2."""
     grid: Mapping[str, Any] = point.get("grid") or content["provenance"]["grid"]
-    if grid.get("kind", "series_rl") != "series_rl":
-        raise VerifyError(f"{point['op_id']} was tuned on a grid that is no R + jX: the device cannot be driven on it")
-    return grid
+    if grid.get("kind", "series_rl") == "series_rl":
+        return SeriesRL(grid["r_ohm"], grid["x_ohm"], grid["f1_hz"])
+    if grid["kind"] == "elements":
+        return elements_grid(grid["document"], grid["f1_hz"], grid["name"]).scaled(grid["scale"])
+    raise VerifyError(
+        f"{point['op_id']} was tuned on a grid that has no time domain ({grid['kind']}): simulated are R + jX and "
+        "elements (grid.toml with [[element]])"
+    )
 
 
 def _source_voltage_v(tuned: Tuned) -> float:
     """Voltage behind the tuned grid (line-to-line RMS) at which the swept |v_pcc| stands at the PCC."""
     plant, grid = tuned.plant, tuned.grid
     assert isinstance(plant, MeasuredPlant)
+    conditions = conditions_at(scenario_of_voltage(tuned, 1.0), 0.0)
     try:
         state = plant.equilibrium(
             OperatingPoint(tuned.active_power_w, tuned.terminal_voltage_v, tuned.reactive_power_var),
-            Source("thevenin", grid.r_ohm, grid.l_h),
+            replace(source_of(conditions, 1.0), voltage_v=None),
         )
     except NotSettled as refusal:
         raise VerifyError(f"{tuned.op_id}: {refusal}") from None
-    _, trace = plant.trace(state, Conditions(grid.r_ohm, grid.l_h), 1)
-    source = trace.record.v[0] + (grid.r_ohm + 1j * grid.x_ohm) * trace.record.i[0]
-    return float(abs(source) * LINE_RMS)
+    _, trace = plant.trace(state, conditions, 1)
+    no_load = trace.record.v[0] + grid.at_f1 * trace.record.i[0]
+    circuit = conditions.circuit
+    gain = 1.0 if circuit is None else abs(circuit.seen_at(2j * np.pi * grid.f1_hz)[1])
+    return float(abs(no_load) * LINE_RMS / gain)

@@ -73,21 +73,44 @@ def network_of(document: Mapping[str, Any], f1_hz: float) -> Network:
     GridError
         If an element, a key or a number is not what is needed; every message names the element.
     """
+    parts = parts_of(document, f1_hz)
+    branches = tuple(part for part in parts if isinstance(part, Branch))
+    return Network(branches, tuple(part for part in parts if isinstance(part, Line)))
+
+
+def parts_of(document: Mapping[str, Any], f1_hz: float, ideal_source: str = GROUND) -> list[Branch | Line]:
+    """Branches and lines of a document, in its order; the ideal source is a node of that name."""
     elements = elements_of(document, f1_hz)
+    places = _places(document, elements, f1_hz, ideal_source)
+    parts = [part for element in elements for part in KINDS[element.kind].build(element, places[element.name])]
+    if not any(PCC in (part.ends if isinstance(part, Branch) else (part.a, part.b)) for part in parts):
+        raise GridError("no element is connected to the node 'pcc'")
+    return parts
+
+
+def _places(
+    document: Mapping[str, Any], elements: Sequence[Element], f1_hz: float, ideal_source: str
+) -> dict[str, Place]:
+    """Where each element stands, by its name."""
     w1 = 2.0 * pi * f1_hz
     levels = _levels(elements, document.get("voltage_kv"))
     x_lines = {level: _x_of_lines(elements, levels, level, w1) for level in {None, *levels.values()}}
-    branches: list[Branch] = []
-    lines: list[Line] = []
+    places = {}
     for element in elements:
         level = levels.get(element.a, levels.get(element.b))
-        place = Place(_node(element.a), _node(element.b), level, w1, x_lines.get(level, 0.0))
-        for part in KINDS[element.kind].build(element, place):
-            (lines if isinstance(part, Line) else branches).append(part)  # type: ignore[arg-type]
-    network = Network(tuple(branches), tuple(lines))
-    if PCC not in network.nodes:
-        raise GridError("no element is connected to the node 'pcc'")
-    return network
+        a, b = (ideal_source if node == SOURCE else node for node in (element.a, element.b))
+        places[element.name] = Place(a, b, level, w1, x_lines.get(level, 0.0))
+    return places
+
+
+def reactance_compensated(document: Mapping[str, Any], k: int, f1_hz: float) -> float:
+    """What a percentage of compensation of entry ``k`` refers to (ohm), whether it is in service or not."""
+    entries = [dict(entry) for entry in document["element"]]
+    entries[k] = {**entries[k], "in_service": True}
+    whole = {**document, "element": entries}
+    elements = elements_of(whole, f1_hz)
+    at = sum(any(entry is each for each in in_service(whole)) for entry in entries[:k])
+    return _places(whole, elements, f1_hz, GROUND)[elements[at].name].x_lines_ohm
 
 
 def elements_of(document: Mapping[str, Any], f1_hz: float) -> tuple[Element, ...]:
@@ -134,10 +157,6 @@ def _nodes(entry: Mapping[str, Any], kind: Kind, node: str, k: int, last: bool) 
     if a == b:
         raise GridError(f"element {k + 1} ({entry['kind']}): it begins and ends at {a!r}")
     return a, b, b
-
-
-def _node(name: str) -> str:
-    return GROUND if name == SOURCE else name
 
 
 # Checks --------------------------------------------------------------------------------------------------------------

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ...plant.circuits.branches import GROUND, Branch
+from ...plant.circuits.circuit import Circuit
 from ..network.assembly import Network, assemble, port_impedance
 from ..network.descriptor import Descriptor, Triangular, transfer, transfer_slope, triangular
-from .document import KINDS, PCC, elements_of, in_service, network_of
+from .document import KINDS, PCC, SOURCE, elements_of, in_service, network_of
 from .errors import GridError
 from .promise import OnePort
 from .rational import RationalGrid
@@ -26,8 +28,45 @@ CABLE_MISFIT = 1e-7
 """Largest relative error with which the states of such a network may give its closed form."""
 
 
+class Lumped(OnePort):
+    """A network of lumped branches: descriptor, triangular form and ``scale`` are what its subclasses bring."""
+
+    __slots__ = ()
+
+    scale: float
+    _system: Descriptor
+    _form: Triangular
+
+    def _assemble(self, network: Network) -> None:
+        """Prepare the network; refuse one with a node that nothing holds."""
+        system = assemble(network, [PCC])
+        for name, value in (("_system", system), ("_form", triangular(system))):
+            object.__setattr__(self, name, value)
+        probe = self.impedance(np.array([20.0 + 1j * self.w1_rad_s]))
+        if not np.all(np.isfinite(probe)):
+            raise GridError("the elements leave the PCC, or a node, without a path to the source or to ground")
+
+    def impedance(self, s: np.ndarray) -> np.ndarray:
+        """z in ohm; infinite at a pole."""
+        return -self.scale * transfer(self._form, np.asarray(s, dtype=complex))
+
+    def slope(self, s: np.ndarray) -> np.ndarray:
+        """dz/ds in ohm s."""
+        return -self.scale * transfer_slope(self._form, np.asarray(s, dtype=complex))
+
+    @property
+    def phase_modes(self) -> np.ndarray:
+        """Own modes with the PCC open, phase frame (rad/s)."""
+        return self._form.poles
+
+    def phase_descriptor(self) -> Descriptor:
+        """The network's states."""
+        e, a, b, c = self._system
+        return Descriptor(e, a, b, self.scale * c)
+
+
 @dataclass(frozen=True, slots=True)
-class ElementsGrid(OnePort):
+class ElementsGrid(Lumped):
     """Lumped elements between PCC and source.
 
     Attributes
@@ -54,33 +93,13 @@ class ElementsGrid(OnePort):
         network = network_of(self.document, self.f1_hz)
         if network.lines:
             raise GridError("distributed lines have no finite number of states: `elements_grid` takes them")
-        system = assemble(network, [PCC])
-        for name, value in (("network", network), ("_system", system), ("_form", triangular(system))):
-            object.__setattr__(self, name, value)
-        _check_connected(self)
+        object.__setattr__(self, "network", network)
+        self._assemble(network)
 
     @property
     def label(self) -> str:
         """Name, elements and z at the fundamental."""
         return _label(self)
-
-    def impedance(self, s: np.ndarray) -> np.ndarray:
-        """z in ohm; infinite at a pole."""
-        return -self.scale * transfer(self._form, np.asarray(s, dtype=complex))
-
-    def slope(self, s: np.ndarray) -> np.ndarray:
-        """dz/ds in ohm s."""
-        return -self.scale * transfer_slope(self._form, np.asarray(s, dtype=complex))
-
-    @property
-    def phase_modes(self) -> np.ndarray:
-        """Own modes with the PCC open, phase frame (rad/s)."""
-        return self._form.poles
-
-    def phase_descriptor(self) -> Descriptor:
-        """The network's states."""
-        e, a, b, c = self._system
-        return Descriptor(e, a, b, self.scale * c)
 
     def scaled(self, scale: float) -> ElementsGrid:
         """The same elements, the impedance multiplied."""
@@ -89,6 +108,51 @@ class ElementsGrid(OnePort):
     def described(self) -> dict[str, Any]:
         """The document, and z at the fundamental."""
         return _described(self)
+
+
+@dataclass(frozen=True, slots=True)
+class CircuitGrid(Lumped):
+    """The circuit that is simulated, as a grid: what a device is on while elements are switched.
+
+    Attributes
+    ----------
+    f1_hz : float
+        Fundamental frequency (Hz).
+    circuit : Circuit
+        Branches between "pcc" and "source".
+    scale : float
+        Multiplies the impedance.
+    """
+
+    f1_hz: float
+    circuit: Circuit
+    scale: float = 1.0
+    _system: Descriptor = field(init=False, repr=False, compare=False)
+    _form: Triangular = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self._assemble(Network(tuple(_grounded(branch) for branch in self.circuit.branches)))
+
+    @property
+    def label(self) -> str:
+        """The circuit's, and z at the fundamental."""
+        z = self.at_f1
+        return f"{self.circuit.label}, {z.real:.4g} + j{z.imag:.4g} ohm at {self.f1_hz:g} Hz"
+
+    def scaled(self, scale: float) -> CircuitGrid:
+        """The same circuit, the impedance multiplied."""
+        return replace(self, scale=self.scale * scale)
+
+    def described(self) -> dict[str, Any]:
+        """Its branches, and z at the fundamental."""
+        z = self.at_f1
+        facts = {"r_ohm": z.real, "x_ohm": z.imag, "f1_hz": self.f1_hz, "scale": self.scale}
+        return {"kind": "circuit", **facts, "circuit": self.circuit.facts()}
+
+
+def _grounded(branch: Branch) -> Branch:
+    """A branch for which the ideal source does not answer."""
+    return replace(branch, ends={GROUND if end == SOURCE else end: ratio for end, ratio in branch.ends.items()})
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,13 +261,6 @@ def varied(document: Mapping[str, Any], at: int, key: str, value: float) -> dict
     entries = [dict(entry) for entry in document["element"]]
     entries[at][key] = value
     return {**document, "element": entries}
-
-
-def _check_connected(grid: ElementsGrid) -> None:
-    """Refuse a network with a node that nothing holds."""
-    probe = grid.impedance(np.array([20.0 + 1j * grid.w1_rad_s]))
-    if not np.all(np.isfinite(probe)):
-        raise GridError("the elements leave the PCC, or a node, without a path to the source or to ground")
 
 
 def _cable_frequencies(network: Network) -> np.ndarray:

@@ -14,10 +14,11 @@ from ...plant.errors import place_of
 from ..poles import closed_loop_poles, is_beyond
 from .elements import elements_grid
 from .errors import GridError, refuse_other_document
+from .in_time import grid_of_fact
 from .promise import Grid
 from .regions import RegionGrid, regions_grid
 from .response import ResponseGrid
-from .series import SeriesRL, check_scale, parse_series
+from .series import check_scale, parse_series
 from .tables import table_grid
 
 GRID_SUFFIXES = (".toml", ".parquet", ".csv", ".txt", ".dat", ".tsv", ".asc", ".s1p", ".s2p", ".mat", ".json")
@@ -115,7 +116,7 @@ def _check_proved(model: RationalModel, stable_on: Any, name: str) -> None:
     """Refuse a source whose own stability is not what its table proves, or is left open and matters."""
     place = stable_on.get("grid") if isinstance(stable_on, Mapping) else None
     if isinstance(place, Mapping):
-        line = SeriesRL(float(place["r_ohm"]), float(place["x_ohm"]), model.f1_hz)
+        line = grid_of_fact(place, model.f1_hz)
         poles = closed_loop_poles(model, line)
         if np.any((poles.real > 0.0) & ~is_beyond(model, poles)):
             raise GridError(f"{name}: the source was stable on {line.label}, its fit is not: sweep more points of it")

@@ -1,58 +1,20 @@
-"""Nodes and elements to one descriptor system, by modified nodal analysis.
+"""Nodes and elements to one descriptor system; the lumped ones as `plant.circuits.branches` stamps them.
 
-Unknowns are the node voltages, the current of every branch that has an inductance or a series capacitor, and the
-voltages of those capacitors; whatever is only a conductance or a capacitance is stamped between its nodes:
-
-    C v' + G v + sum_b a_b i_b + u = 0        L i_b' = a_b^T v - R i_b - v_c        C_b v_c' = i_b
-
-``u`` is what a port draws out of the network. An ideal source is ground: it does not answer a disturbance. A
-distributed line is a two-port of closed form, which no finite system holds: `port_impedance` knows it exactly.
+An ideal source is ground: it does not answer a disturbance. A distributed line is a two-port of closed form, which no
+finite system holds: `port_impedance` knows it exactly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import inf
-from typing import NamedTuple
 
 import numpy as np
 
+from ...plant.circuits.branches import GROUND, Branch, Places, places_of, stamped
 from .descriptor import Descriptor
 
-GROUND = "ground"
-"""The reference; every ideal source, too."""
-
-
-@dataclass(frozen=True, slots=True)
-class Branch:
-    """R, L and C in series between nodes.
-
-    Attributes
-    ----------
-    name : str
-        For messages and participation.
-    ends : mapping of str to float
-        The branch's voltage is the sum of these multiples of node voltages, and it draws these multiples of its
-        current from them: {"a": 1, "b": -1} from a to b; a transformer of ratio n is {"lv": 1, "hv": -n}.
-    r_ohm, l_h : float
-        Resistance (ohm) and inductance (H), zero allowed.
-    c_f : float
-        Series capacitance (F); infinite if there is none.
-    """
-
-    name: str
-    ends: Mapping[str, float]
-    r_ohm: float = 0.0
-    l_h: float = 0.0
-    c_f: float = inf
-
-    @property
-    def has_current(self) -> bool:
-        """Whether the current is an unknown of its own: not so for a plain resistor or capacitor."""
-        pure_c = self.c_f < inf and self.r_ohm == 0.0 and self.l_h == 0.0
-        pure_r = self.c_f == inf and self.l_h == 0.0 and self.r_ohm > 0.0
-        return not (pure_c or pure_r)
+__all__ = ["GROUND", "Branch", "Line", "Network", "assemble", "port_impedance", "two_port"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +53,6 @@ class Network:
         object.__setattr__(self, "nodes", tuple(dict.fromkeys(end for end in ends if end != GROUND)))
 
 
-class _Places(NamedTuple):
-    """Where the unknowns stand: nodes first, then branch currents, then capacitor voltages."""
-
-    node: dict[str, int]
-    current: dict[int, int]
-    capacitor: dict[int, int]
-    n: int
-
-
 def assemble(network: Network, ports: Sequence[str]) -> Descriptor:
     """The lumped part of a network as E x' = A x + B u, v = C x in the phase frame.
 
@@ -111,9 +64,7 @@ def assemble(network: Network, ports: Sequence[str]) -> Descriptor:
         Nodes at which something outside draws a current ``u`` (A) and sees a voltage ``v`` (V).
     """
     at = _places(network)
-    e, a = np.zeros((at.n, at.n)), np.zeros((at.n, at.n))
-    for k, branch in enumerate(network.branches):
-        _stamp(e, a, at, k, branch)
+    e, a = stamped(network.branches, at)
     c = np.zeros((len(ports), at.n))
     for row, port in enumerate(ports):
         c[row, at.node[port]] = 1.0
@@ -151,35 +102,11 @@ def two_port(line: Line, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return coth / z, -csch / z
 
 
-def _places(network: Network) -> _Places:
-    n = len(network.nodes)
-    node = {name: k for k, name in enumerate(network.nodes)}
-    with_current = [k for k, branch in enumerate(network.branches) if branch.has_current]
-    current = {k: n + j for j, k in enumerate(with_current)}
-    charged = [k for k in with_current if network.branches[k].c_f < inf]
-    capacitor = {k: n + len(current) + j for j, k in enumerate(charged)}
-    return _Places(node, current, capacitor, n + len(current) + len(capacitor))
+def _places(network: Network) -> Places:
+    return places_of(network.branches, network.nodes)
 
 
-def _stamp(e: np.ndarray, a: np.ndarray, at: _Places, k: int, branch: Branch) -> None:
-    """Add one branch to E and A."""
-    ends = [(at.node[name], ratio) for name, ratio in branch.ends.items() if name != GROUND]
-    if not branch.has_current:
-        target, value = (e, branch.c_f) if branch.c_f < inf else (a, -1.0 / branch.r_ohm)
-        for row, p in ends:
-            for column, q in ends:
-                target[row, column] += p * q * value
-        return
-    i = at.current[k]
-    e[i, i], a[i, i] = branch.l_h, -branch.r_ohm
-    for row, ratio in ends:
-        a[i, row], a[row, i] = ratio, -ratio
-    if k in at.capacitor:
-        v_c = at.capacitor[k]
-        e[v_c, v_c], a[v_c, i], a[i, v_c] = branch.c_f, 1.0, -1.0
-
-
-def _add_line(matrix: np.ndarray, at: _Places, line: Line, s: np.ndarray) -> None:
+def _add_line(matrix: np.ndarray, at: Places, line: Line, s: np.ndarray) -> None:
     """Add the two-port of a line to the rows of its nodes."""
     own, across = two_port(line, s)
     ends = [at.node.get(name) for name in (line.a, line.b)]

@@ -1,0 +1,295 @@
+"""A network's own motion: its finite states, free of the algebra between them, and what is kept when it is switched.
+
+The descriptor E x' = A x + B u has as many states as its pencil has finite eigenvalues. With the deflating subspaces of
+the pencil (QZ, ordered once either way) they are xi = Z' x with xi' = F xi + G u, and x = V xi + D u + K u'. Currents
+of inductors and voltages of capacitors are the *memory*: at a switching E x is kept, so that flux and charge go on
+where they can, and what a switch has made impossible (two inductors in one cut set, two currents) is settled at once.
+
+Two frames: ``"dq"``, where a symmetric network is one complex copy of its phase and an operating point stands still;
+``"stationary"``, where alpha and beta are coupled by an unsymmetric fault and the states are real pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ..errors import SeqsweepError
+from .branches import GROUND, Branch
+from .circuit import SOURCE, Descriptor, descriptor_of
+
+Frame = Literal["dq", "stationary"]
+
+Conductance = tuple[float, float, float]
+"""Alpha-alpha, alpha-beta, beta-beta (S)."""
+
+SOUND: Conductance = (0.0, 0.0, 0.0)
+"""No fault."""
+
+_INFINITE = 1e9  # rad/s; eigenvalues beyond are the infinite ones of a pencil
+_SIZE = 300.0  # rad/s; the speed at which E and A are weighed against each other
+_PROBES = 700.0, 2900.0  # 1/s, where the direct way is read; no eigenvalue lies to the right
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A short circuit at a node, as a conductance on (alpha, beta)."""
+
+    node: str
+    conductance: Conductance
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether alpha and beta see the same and do not see each other."""
+        aa, ab, bb = self.conductance
+        return ab == 0.0 and abs(aa - bb) <= 1e-12 * abs(aa)
+
+
+class Finite(NamedTuple):
+    """xi' = F xi + G u and x = V xi + D u + K u'; ``enter`` takes E x to xi."""
+
+    f: np.ndarray
+    g: np.ndarray
+    v: np.ndarray
+    d: np.ndarray
+    k: np.ndarray
+    enter: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """A network ready to be stepped.
+
+    Attributes
+    ----------
+    branches : tuple of Branch
+        Its branches, in the order of its memory.
+    ports : tuple of str
+        Nodes into which currents are fed.
+    frame : "dq" or "stationary"
+        In which its states stand.
+    w1_rad_s : float
+        Fundamental angular frequency (rad/s).
+    system : Descriptor
+        One phase of it, the fault left out.
+    finite : Finite
+        In the frame's coordinates: one phase, or alpha and beta in pairs.
+    pairs : tuple of (2 n, 2 n) float
+        E and A of alpha and beta with the fault; empty in the dq frame.
+    """
+
+    branches: tuple[Branch, ...]
+    ports: tuple[str, ...]
+    frame: Frame
+    w1_rad_s: float
+    system: Descriptor
+    finite: Finite
+    pairs: tuple[np.ndarray, np.ndarray]
+
+    # ------------------------------------------------------------------ memory
+
+    @cached_property
+    def content(self) -> np.ndarray:
+        """(n, 2 b): E x of one phase from the memory, branch by branch a current (A) and a voltage (V)."""
+        at = self.system.at
+        found = np.zeros((at.n, 2 * len(self.branches)))
+        for k, branch in enumerate(self.branches):
+            if k in at.current:
+                found[at.current[k], 2 * k] = branch.l_h
+            if k in at.capacitor:
+                found[at.capacitor[k], 2 * k + 1] = branch.c_f
+            if branch.is_capacitor:
+                for node, ratio in self._ends(branch):
+                    found[node, 2 * k + 1] += ratio * branch.c_f
+        return found
+
+    @cached_property
+    def readout(self) -> tuple[np.ndarray, np.ndarray]:
+        """(2 b, n) and (2 b,): the memory of one phase from x and the source voltage."""
+        at = self.system.at
+        found, by_source = np.zeros((2 * len(self.branches), at.n)), np.zeros(2 * len(self.branches))
+        for k, branch in enumerate(self.branches):
+            if k in at.current:
+                found[2 * k, at.current[k]] = 1.0
+            if k in at.capacitor:
+                found[2 * k + 1, at.capacitor[k]] = 1.0
+            if branch.is_capacitor:
+                by_source[2 * k + 1] = branch.ends.get(SOURCE, 0.0)
+                for node, ratio in self._ends(branch):
+                    found[2 * k + 1, node] = ratio
+        return found, by_source
+
+    def _ends(self, branch: Branch) -> list[tuple[int, float]]:
+        place = self.system.at.node
+        return [(place[name], ratio) for name, ratio in branch.ends.items() if name in place]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the branches."""
+        return tuple(branch.name for branch in self.branches)
+
+    def remembered(self, x: np.ndarray, v_source: complex = 0j) -> np.ndarray:
+        """The memory (b, 2) that x (n,) of one phase stands for."""
+        of_x, of_source = self.readout
+        return (of_x @ x + of_source * v_source).reshape(-1, 2)
+
+    # ------------------------------------------------------------------ forced by sources
+
+    def by_source(self, v_source: complex) -> tuple[Turning, ...]:
+        """What the ideal source alone holds for ever, ``v_source`` its voltage in the dq frame."""
+        s = 1j * self.w1_rad_s
+        return self._forced(s, (self.system.by_source + s * self.system.by_slope) * v_source)
+
+    def by_current(self, currents: np.ndarray) -> tuple[Turning, ...]:
+        """What steady port currents (p,) alone hold for ever, in the dq frame."""
+        return self._forced(1j * self.w1_rad_s, self.system.b @ currents)
+
+    def by_tone(self, f_rad_s: float, right: np.ndarray) -> Turning:
+        """What a tone at ``f_rad_s`` of the phase frame holds, (s E - A) x = ``right``; of a symmetric network."""
+        s = 1j * f_rad_s
+        return Turning(f_rad_s - self.w1_rad_s, np.linalg.solve(s * self.system.e - self.system.a, right))
+
+    def _forced(self, s: complex, right: np.ndarray) -> tuple[Turning, ...]:
+        """Both sequences of a space vector exp(s t) that enters at ``right`` (n,), in the dq frame."""
+        if self.frame == "dq":
+            return (Turning(0.0, np.linalg.solve(s * self.system.e - self.system.a, right)),)
+        e, a = self.pairs
+        pair = np.linalg.solve(s * e - a, np.stack([right, -1j * right], axis=1).ravel()).reshape(-1, 2)
+        forward, backward = pair[:, 0] + 1j * pair[:, 1], pair[:, 0].conj() + 1j * pair[:, 1].conj()
+        return Turning(0.0, 0.5 * forward), Turning(-2.0 * self.w1_rad_s, 0.5 * backward)
+
+    # ------------------------------------------------------------------ coordinates
+
+    def entered(self, memory: np.ndarray, time_s: float) -> np.ndarray:
+        """States (m,), real, of a memory (b, 2) in the dq frame: d, q pairs, or alpha, beta pairs mixed."""
+        content = self.content @ memory.ravel()
+        if self.frame == "dq":
+            return as_pairs(self.finite.enter @ content)
+        turned = content * np.exp(1j * self.w1_rad_s * time_s)
+        return np.asarray(self.finite.enter @ as_pairs(turned))
+
+    def left(self, states: np.ndarray, currents: np.ndarray, time_s: float) -> np.ndarray:
+        """x (n,) in the dq frame from states (m,) and port currents (p,) in the dq frame."""
+        if self.frame == "dq":
+            found: np.ndarray = self.finite.v @ from_pairs(states) + self.finite.d @ currents
+            return found
+        turn = np.exp(1j * self.w1_rad_s * time_s)
+        return from_pairs(self.finite.v @ states + self.finite.d @ as_pairs(currents * turn)) / turn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Memory:
+    """What a network keeps, in the dq frame at w1, power-invariant or whatever its voltages are.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Its branches.
+    values : (b, 2) complex
+        Current (A) and voltage of the capacitor (V) of each; zero where a branch has none.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+
+    def of(self, names: tuple[str, ...]) -> np.ndarray:
+        """(b, 2) of other branches: what is new begins without current and charge."""
+        if names == self.names:
+            return self.values
+        known = dict(zip(self.names, self.values, strict=True))
+        return np.array([known.get(name, np.zeros(2, dtype=complex)) for name in names]).reshape(-1, 2)
+
+
+class Turning(NamedTuple):
+    """x(t) = x exp(j w t) in the dq frame."""
+
+    w_rad_s: float
+    x: np.ndarray
+
+    def at(self, time_s: float) -> np.ndarray:
+        """x at a time (s)."""
+        found: np.ndarray = self.x * np.exp(1j * self.w_rad_s * time_s)
+        return found
+
+
+def as_pairs(x: np.ndarray) -> np.ndarray:
+    """(2 n,) real and imaginary parts in turn."""
+    return np.stack([x.real, x.imag], axis=-1).reshape(*x.shape[:-1], -1)
+
+
+def from_pairs(x: np.ndarray) -> np.ndarray:
+    """(n,) complex of pairs (2 n,)."""
+    pairs = x.reshape(-1, 2)
+    found: np.ndarray = pairs[:, 0] + 1j * pairs[:, 1]
+    return found
+
+
+@lru_cache(maxsize=64)
+def dynamics_of(
+    branches: tuple[Branch, ...], ports: tuple[str, ...], w1_rad_s: float, fault: Fault | None = None
+) -> Dynamics:
+    """The motion of a network with currents fed in at ``ports``.
+
+    Raises
+    ------
+    SeqsweepError
+        If a node has no path to the source or to ground.
+    """
+    if fault is not None and fault.symmetric:
+        short = Branch(f"fault at {fault.node}", {fault.node: 1.0, GROUND: -1.0}, 1.0 / fault.conductance[0])
+        return dynamics_of((*branches, short), ports, w1_rad_s)
+    system = descriptor_of(branches, ports)
+    if fault is None:
+        finite = finite_part(system.e, system.a, system.b)
+        return Dynamics(branches, ports, "dq", w1_rad_s, system, finite, (np.zeros((0, 0)),) * 2)
+    e, a, b = (np.kron(matrix, np.eye(2)) for matrix in (system.e, system.a, system.b))
+    aa, ab, bb = fault.conductance
+    node = 2 * system.at.node[fault.node]
+    a[node : node + 2, node : node + 2] -= np.array([[aa, ab], [ab, bb]])
+    return Dynamics(branches, ports, "stationary", w1_rad_s, system, finite_part(e, a, b), (e, a))
+
+
+def finite_part(e: np.ndarray, a: np.ndarray, b: np.ndarray) -> Finite:
+    """The states of E x' = A x + B u: the finite part of its pencil.
+
+    Raises
+    ------
+    SeqsweepError
+        If the pencil is singular.
+    """
+    from scipy.linalg import ordqz
+
+    rows = 1.0 / np.maximum(np.abs(a).max(axis=1), np.abs(e).max(axis=1) * _SIZE)
+    e, a, b = e * rows[:, None], a * rows[:, None], b * rows[:, None]
+    columns = 1.0 / np.maximum(np.abs(a).max(axis=0), np.abs(e).max(axis=0) * _SIZE)
+    e, a = e * columns, a * columns
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(columns))):
+        raise SeqsweepError("a node of the network has no path to the source or to ground")
+    t, s, alpha, beta, q, z = ordqz(a, e, sort=_is_infinite, output="real")
+    n_infinite = int(np.sum(_is_infinite(alpha, beta)))
+    last = slice(n_infinite, None)
+    inverse = np.linalg.inv(s[last, last])
+    left = inverse @ q[:, last].T
+    *_, other = ordqz(a, e, sort=lambda x, y: ~_is_infinite(x, y), output="real")
+    first = other[:, : len(inverse)]
+    v = first @ np.linalg.inv(z[:, last].T @ first)
+    f, g = inverse @ t[last, last], left @ b
+    direct = [np.linalg.solve(x * e - a, b) - v @ np.linalg.solve(x * np.eye(len(f)) - f, g) for x in _PROBES]
+    if not np.all(np.isfinite(direct)):
+        raise SeqsweepError("a node of the network has no path to the source or to ground")
+    k = (direct[1] - direct[0]) / (_PROBES[1] - _PROBES[0])
+    d = direct[0] - _PROBES[0] * k
+    back = columns[:, None]
+    return Finite(f, g, back * v, back * d, back * _cleaned(k, d), left * rows)
+
+
+def _is_infinite(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    return np.abs(beta) * _INFINITE < np.abs(alpha)
+
+
+def _cleaned(k: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """K without what is rounding beside D."""
+    return np.where(np.abs(k) * _PROBES[1] < 1e-9 * np.maximum(np.abs(d), np.abs(d).max(initial=1e-300)), 0.0, k)
