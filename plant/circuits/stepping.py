@@ -80,7 +80,7 @@ def weights_of(dynamics: Dynamics, outputs: Outputs, step_s: float) -> Weights:
         4.0 * three - two,
     )
     turn = np.array([np.cos(0.5 * w * step_s), np.sin(0.5 * w * step_s)])
-    return Weights(*(np.ascontiguousarray(_paired(matrix, dynamics)) for matrix in matrices), turn)
+    return Weights._make([*(np.ascontiguousarray(_paired(matrix, dynamics)) for matrix in matrices), turn])
 
 
 def exponentials(f: np.ndarray, g: np.ndarray, h: float) -> tuple[np.ndarray, ...]:

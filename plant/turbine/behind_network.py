@@ -53,6 +53,7 @@ def feeding(circuit: Circuit, p: TurbineParameters, step_s: float, fault_s: Cond
 def at_rest(state: TurbineState, p: TurbineParameters, step_s: float) -> TurbineState:
     """A turbine's steady ``state`` with what its network remembers of it."""
     current = np.array([complex(state.values[0], state.values[1])])
+    assert state.source.circuit is not None
     return replace(state, memory=feeding(state.source.circuit, p, step_s).at_rest(state.v_source, current))
 
 
