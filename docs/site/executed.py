@@ -9,9 +9,10 @@ columns::
     ```
 
 What is shown shortened (a line of three dots) stays shortened: a printed line is shown if one like it, up to its
-digits, was shown before, or if it is new where nothing was left out. Two remarks belong to a session that readers do
-not see: ``<!-- before: COMMAND -->`` runs a command without showing it, and ``<!-- file: NAME -->`` writes the block of
-code below it to a file. A command that fails ends the session, unless ``$ echo $?`` follows it.
+digits, was shown before, or if it is new where nothing was left out. Three remarks belong to a session that readers do
+not see: ``<!-- before: COMMAND -->`` runs a command without showing it, ``<!-- file: NAME -->`` writes the block below
+it to a file, and ``<!-- picture: NAME PLACE -->`` brings a picture into ``docs``. A command that fails ends the
+session, unless ``$ echo $?`` follows it. Lines of progress, which come by the clock, are not shown.
 
 What a session printed is kept in ``build/docs`` until its page's commands or the program change.
 """
@@ -44,11 +45,15 @@ MOST_S = 300.0
 
 STEP = re.compile(
     r"<!-- before: (?P<before>.*?) -->"
+    r"|<!-- picture: (?P<drawn>\S+) (?P<picture>\S+) -->"
     r"|<!-- file: (?P<file>\S+) -->\n+```\w*\n(?P<text>.*?)```"
     r"|```console\n(?P<console>.*?)```",
     re.DOTALL,
 )
 LEFT_OUT = "..."
+PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots)\b")
+Step = tuple[str, str, str]
+"""Kind (run, file, picture), name, and command, text or file."""
 
 
 class SessionFailed(Exception):
@@ -121,12 +126,14 @@ def _split(part: str) -> tuple[str, str]:
     return found[0].rstrip("\n"), part[found.end() :]
 
 
-def steps_of(text: str) -> list[tuple[str, str, str]]:
+def steps_of(text: str) -> list[Step]:
     """What a page's session does, in order: (kind, name, text)."""
     steps = []
     for match in STEP.finditer(text):
         if match["before"]:
             steps.append(("run", "hidden", match["before"]))
+        elif match["picture"]:
+            steps.append(("picture", match["picture"], match["drawn"]))
         elif match["file"]:
             steps.append(("file", match["file"], match["text"]))
         else:
@@ -134,8 +141,8 @@ def steps_of(text: str) -> list[tuple[str, str, str]]:
     return steps
 
 
-def printed_by(steps: Sequence[tuple[str, str, str]]) -> list[str]:
-    """What the shown commands of a session print, run in a folder of their own."""
+def run_session(steps: Sequence[Step], pictures: Path) -> list[str]:
+    """What the shown commands of a session print, run in a folder of their own; its pictures go to ``pictures``."""
     with tempfile.TemporaryDirectory() as folder:
         top = Path(folder) / "seqsweep"
         for name in CLONE:
@@ -145,25 +152,32 @@ def printed_by(steps: Sequence[tuple[str, str, str]]) -> list[str]:
         for k, (kind, name, text) in enumerate(steps):
             if kind == "file":
                 (session.there / name).write_text(text, "utf-8")
-                continue
-            said = session.run(text)
-            expected = k + 1 < len(steps) and steps[k + 1][2] == "echo $?"
-            if session.status and not expected:
-                raise SessionFailed(f"$ {text}\n{said}exit status {session.status}")
-            if name == "shown":
-                printed.append(said)
+            elif kind == "picture":
+                shutil.copyfile(top / text, pictures / Path(name).name)
+            else:
+                expected = k + 1 < len(steps) and steps[k + 1][2] == "echo $?"
+                said = _said(session, text, expected)
+                printed += [said] if name == "shown" else []
         return printed
 
 
-def kept_or_run(steps: Sequence[tuple[str, str, str]], program: str) -> list[str]:
-    """`printed_by`, kept in `KEPT` until the steps or the program change."""
+def _said(session: Session, command: str, may_fail: bool) -> str:
+    """What a command prints, but for lines of progress, which come by the clock."""
+    said = session.run(command)
+    if session.status and not may_fail:
+        raise SessionFailed(f"$ {command}\n{said}exit status {session.status}")
+    return "".join(line for line in said.splitlines(keepends=True) if not PROGRESS.match(line))
+
+
+def kept_or_run(steps: Sequence[Step], program: str) -> tuple[list[str], Path]:
+    """What a session prints and the folder of its pictures, kept in `KEPT` until the steps or the program change."""
     key = hashlib.sha256(json.dumps([program, steps]).encode()).hexdigest()[:24]
-    path = KEPT / f"{key}.json"
-    if not path.exists():
-        KEPT.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(printed_by(steps)), "utf-8")
-    kept: list[str] = json.loads(path.read_text("utf-8"))
-    return kept
+    folder = KEPT / key
+    if not (folder / "printed.json").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "printed.json").write_text(json.dumps(run_session(steps, folder)), "utf-8")
+    kept: list[str] = json.loads((folder / "printed.json").read_text("utf-8"))
+    return kept, folder
 
 
 def program_digest() -> str:
@@ -181,7 +195,7 @@ def _alike(line: str) -> str:
     return re.sub(r"[-+]?\d[\d.,]*(e[-+]?\d+)?", "0", re.sub(r"-{2,}|\s+", " ", line)).strip()
 
 
-TIME_TAKEN = re.compile(r"\b(?:took|wall|done in|finished in|after) ")
+TIME_TAKEN = re.compile(r"\b(?:took|wall|done in|finished in)\b|^about [\d.]+ s with ")
 A_TIME = re.compile(r"\d[\d.]*(?= (?:s|ms|min|h)\b)")
 
 
@@ -202,8 +216,19 @@ def merged(shown: Sequence[str], printed: Sequence[str]) -> list[str]:
         elif stop > start and not gaps & set(range(low, high + 1)):
             lines += printed[start:stop]
         elif stop > start:
-            lines.append(LEFT_OUT)
+            lines += _resembling(printed[start:stop], old[low:high])
     return [line for k, line in enumerate(lines) if line != LEFT_OUT or k == 0 or lines[k - 1] != LEFT_OUT]
+
+
+def _resembling(printed: Sequence[str], old: Sequence[str]) -> list[str]:
+    """Printed lines that read like one of the old ones, with what they go on with; dots for the others."""
+    lines = []
+    kept = False
+    for line in printed:
+        goes_on = kept and line.startswith("  ")
+        kept = goes_on or bool(difflib.get_close_matches(_alike(line), map(_alike, old), 1, 0.7))
+        lines.append(line if kept else LEFT_OUT)
+    return lines
 
 
 def _gaps(shown: Sequence[str]) -> set[int]:
@@ -240,13 +265,16 @@ def rewritten(text: str, printed: Sequence[str]) -> str:
     return STEP.sub(block, text)
 
 
-def refreshed(path: Path, program: str) -> str:
-    """The text of a page with what its commands print now."""
+def refreshed(path: Path, program: str) -> dict[Path, bytes]:
+    """A page, and the pictures on it, as its commands make them now."""
     text = path.read_text("utf-8")
+    steps = steps_of(text)
     try:
-        return rewritten(text, kept_or_run(steps_of(text), program))
+        printed, folder = kept_or_run(steps, program)
     except SessionFailed as failure:
         raise SessionFailed(f"{path.relative_to(TOP)}:\n{failure}") from None
+    pictures = {DOCS / name: (folder / Path(name).name).read_bytes() for kind, name, _ in steps if kind == "picture"}
+    return {path: rewritten(text, printed).encode(), **pictures}
 
 
 def main(names: Sequence[str]) -> int:
@@ -255,15 +283,20 @@ def main(names: Sequence[str]) -> int:
     chosen = [Path(name).resolve() for name in names if name != "--check"] or pages()
     program = program_digest()
     with ThreadPoolExecutor(2) as pool:
-        texts = list(pool.map(lambda path: refreshed(path, program), chosen))
-    stale = [(path, text) for path, text in zip(chosen, texts, strict=True) if text != path.read_text("utf-8")]
-    for path, text in stale:
-        print(f"{path.relative_to(TOP)} shows what its commands no longer print")
-        if check:
-            print(*difflib.unified_diff(path.read_text("utf-8").splitlines(), text.splitlines(), lineterm=""), sep="\n")
-        else:
-            path.write_text(text, "utf-8")
-    return int(check and bool(stale))
+        fresh = {
+            path: content
+            for made in pool.map(lambda page: refreshed(page, program), chosen)
+            for path, content in made.items()
+        }
+    stale = {path: now for path, now in fresh.items() if not path.exists() or path.read_bytes() != now}
+    for path, now in stale.items():
+        print(f"{path.relative_to(TOP)} is not what its commands give now")
+        if check and path.suffix == ".md":
+            old, new = path.read_text("utf-8").splitlines(), now.decode().splitlines()
+            print(*difflib.unified_diff(old, new, lineterm=""), sep="\n")
+        elif not check:
+            path.write_bytes(now)
+    return int(check and any(path.suffix == ".md" for path in stale))
 
 
 if __name__ == "__main__":

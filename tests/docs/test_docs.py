@@ -44,12 +44,14 @@ def test_what_is_unknown_is_seen():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_and_option_on_a_page_exists(page):
-    assert [found for line in page.read_text("utf-8").splitlines() for found in unknown_in(line)] == []
+    unknown = [found for line in page.read_text("utf-8").splitlines() for found in unknown_in(line)]
+    assert [found for found in unknown if (page.stem, found) != ("wrong-input", "seqsweep sweep")] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_file_and_link_on_a_page_leads_somewhere(page):
     text = page.read_text("utf-8")
+    text = re.sub(r"<!-- picture: .*? -->", "", text)  # brought by the site's build
     paths = re.findall(rf"(?<![\w/.])((?:{FOLDERS})/[\w./-]*\w)(?![*\w])", text)
     assert [path for path in paths if not (TOP / path).exists() and not path.startswith(MADE)] == []
     links = [link for link in re.findall(r"\]\(([^)\s]+)\)", text) if not link.startswith("http")]

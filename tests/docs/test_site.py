@@ -144,6 +144,7 @@ SHOWN = ["a: 1.5 s", "...", "last 2.0"]
         (SHOWN, ["a: 2.5 s", "b", "c", "last 3.0"], ["a: 2.5 s", "...", "last 3.0"]),
         (SHOWN, ["a: 2.5 s", "b", "last 3.0", "and more"], ["a: 2.5 s", "...", "last 3.0", "and more"]),
         (["x 1", "y 2", "..."], ["x 1", "new", "y 2", "z"], ["x 1", "new", "y 2", "..."]),
+        (SHOWN, ["a: 1.5 s", "b", "the last 3.0", "  goes on"], ["a: 1.5 s", "...", "the last 3.0", "  goes on"]),
         (["took 3.1 s"], ["took 4.9 s"], ["took 3.1 s"]),
         (["3 rows took 3.1 s"], ["4 rows took 3.1 s"], ["4 rows took 3.1 s"]),
     ],
@@ -154,8 +155,8 @@ def test_what_a_page_leaves_out_stays_left_out_and_what_is_shown_is_what_was_pri
     assert merged(shown, printed) == expected
 
 
-def test_a_session_keeps_its_folder_and_its_status(code):
-    from executed import printed_by
+def test_a_session_keeps_its_folder_and_its_status(code, tmp_path):
+    from executed import run_session
 
     steps = [
         ("file", "words.txt", "one\n"),
@@ -164,16 +165,16 @@ def test_a_session_keeps_its_folder_and_its_status(code):
         ("run", "shown", "seqsweep nonsense"),
         ("run", "shown", "echo $?"),
     ]
-    first, second, third = printed_by(steps)
+    first, second, third = run_session(steps, tmp_path)
     assert (first, third) == ("one\n", "2\n")
     assert "nonsense" in second
 
 
-def test_a_command_that_fails_ends_the_session(code):
-    from executed import SessionFailed, printed_by
+def test_a_command_that_fails_ends_the_session(code, tmp_path):
+    from executed import SessionFailed, run_session
 
     with pytest.raises(SessionFailed, match="exit status 3"):
-        printed_by([("run", "shown", "exit 3")])
+        run_session([("run", "shown", "exit 3")], tmp_path)
 
 
 @pytest.mark.evidence

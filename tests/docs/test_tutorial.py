@@ -9,7 +9,7 @@ import pytest
 
 import seqsweep as ss
 
-PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "tutorial-converter.md").read_text("utf-8")
 CONVERTER, *_ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 ROW = re.compile(r"^p100 +(\d) +(\w+) +([\d.]+) .* x([\d.]+) ", re.MULTILINE)
 ROWS = {float(scale): (verdict, float(m), float(edge)) for scale, verdict, m, edge in ROW.findall(PAGE)}
