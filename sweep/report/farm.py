@@ -53,7 +53,7 @@ def _draw_shares(axes: Axes, farm: Farm) -> None:
         axes.set_title("No oscillating mode in the band", fontsize=9.0)
         return
     order = np.argsort(mode.shares)[-12:]
-    names = [farm.units[k].name for k in order]
+    names = [farm.system.units[k].name for k in order]
     axes.barh(names, 100.0 * mode.shares[order], color=DEVICE)
     nu = mode.pole.imag / (2.0 * np.pi)
     axes.set_title(f"Who takes part at {farm.entry.f1_hz - nu:.3g}/{farm.entry.f1_hz + nu:.3g} Hz", fontsize=9.0)

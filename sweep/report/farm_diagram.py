@@ -145,9 +145,9 @@ def _draw_buses(axes: Axes, farm: Farm, places: Places) -> None:
 
 def _draw_devices(axes: Axes, farm: Farm, places: Places, mode: ModeParts | None) -> None:
     """Each device to the right of its bus; several of one bus side by side."""
-    shares = np.zeros(len(farm.units)) if mode is None else mode.shares
+    shares = np.zeros(len(farm.system.units)) if mode is None else mode.shares
     placed: dict[str, int] = {}
-    for k, unit in enumerate(farm.units):
+    for k, unit in enumerate(farm.system.units):
         n = placed[unit.bus] = placed.get(unit.bus, 0) + 1
         x, y = places.at[unit.bus]
         at = x + 0.28 * n
@@ -155,7 +155,8 @@ def _draw_devices(axes: Axes, farm: Farm, places: Places, mode: ModeParts | None
         axes.plot([x, at], [y, y], color="0.45", linewidth=0.8, zorder=1)
         axes.scatter([at], [y], s=30.0 + _LARGEST * shares[k], color=WARNING if worse else DEVICE, alpha=0.85, zorder=4)
         if len(farm.units) <= _NAMED:
-            text = f"{unit.name} {100.0 * shares[k]:.0f} %, {-unit.power_va.real / 1e6:.3g} MW"
+            power = f", {-unit.power_va.real / 1e6:.3g} MW" if unit.power_va else ""
+            text = f"{unit.name} {100.0 * shares[k]:.0f} %{power}"
             away = 4.0 + 0.5 * np.sqrt(30.0 + _LARGEST * shares[k])
             axes.annotate(text, (at, y), (away, -2), textcoords="offset points", fontsize=7)
 

@@ -48,11 +48,15 @@ def _plain(k: int, power_w: float, voltage_v: float) -> System:
 
 
 def closed_loop(
-    star: Star, powers_w: list[float], system: Callable[[int, float, float], System] = _plain
+    star: Star,
+    powers_w: list[float],
+    system: Callable[[int, float, float], System] = _plain,
+    at_bus: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poles of turbines and network (rad/s, dq), and the turbines' terminal voltages (n,) complex (V).
 
-    ``system`` gives A, B, C, D of turbine k at a power (W) and a terminal voltage (V).
+    ``system`` gives A, B, C, D of turbine k at a power (W) and a terminal voltage (V); ``at_bus`` is A, B, C of
+    something that draws a current i = C x from the collector bus.
     """
     v, _ = operating_point(star, powers_w)
     n = len(powers_w)
@@ -79,4 +83,16 @@ def closed_loop(
     a[bus, source] = -np.eye(2) / star.c_f
     a[source, bus] = np.eye(2) / l_s
     a[source, source] = -star.z_s.real / l_s * np.eye(2) - W1 * J
+    if at_bus is not None:
+        a = _with_another(a, bus, star.c_f, at_bus)
     return np.linalg.eigvals(a), v
+
+
+def _with_another(
+    a: np.ndarray, bus: slice, c_f: float, other: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> np.ndarray:
+    own, by_bus, current = other
+    grown = np.zeros((len(a) + len(own),) * 2)
+    grown[: len(a), : len(a)], grown[len(a) :, len(a) :] = a, own
+    grown[len(a) :, bus], grown[bus, len(a) :] = by_bus, -current / c_f
+    return grown

@@ -11,7 +11,8 @@ from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.operating_state import fundamental_facts
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.farm.choices import fewest, least_norm, uniform
-from seqsweep.tuning.farm.document import FarmError, farm_of
+from seqsweep.tuning.farm.document import farm_of
+from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged, seen_from_source
 from seqsweep.tuning.farm.participation import parts_of
 from seqsweep.tuning.farm.system import System

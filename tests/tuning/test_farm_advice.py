@@ -11,8 +11,9 @@ import pytest
 from seqsweep.identify.operating_state import fundamental_facts
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.farm.choices import fewest, least_norm, uniform
-from seqsweep.tuning.farm.document import FarmError, farm_of
+from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.doubt import doubt_of
+from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged
 from seqsweep.tuning.farm.levers import GainLever, PowerLever, check_power_lever
 from seqsweep.tuning.farm.restore import Demand, advise

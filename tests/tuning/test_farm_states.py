@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqsweep.tuning.farm.document import FarmError, farm_of
+from seqsweep.tuning.farm.document import farm_of
+from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged
 from seqsweep.tuning.farm.result import states_json, states_text
 from seqsweep.tuning.farm.states import State, crossing_at_source, farm_in, judge_states, states_of

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.tuning.farm.document import FarmError, farm_of
+from seqsweep.tuning.farm.document import farm_of
+from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.loadflow import load_flow
 from seqsweep.tuning.farm.network_files import exported, imported
 from seqsweep.tuning.farm.network_parts import farm_text

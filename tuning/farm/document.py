@@ -8,20 +8,22 @@ that poles and locus are those of one finite system.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil, pi
 from typing import Any
 
-from ...plant.errors import SeqsweepError, nearest
+from ...plant.errors import nearest
 from ..grids.document import KINDS, Element, Place
 from ..network.assembly import GROUND, Branch, Line, Network
 from ..network.equipment import pi_line
+from .entries import DamperEntry, DampingEntry, DeviceEntry, FarmEntry, FarmError
 
 SECTION_KM = 5.0
 """Longest pi section (km)."""
 
-SECTIONS = ("bus", "line", "cable", "series", "transformer", "shunt", "series_capacitor", "source", "device")
+SECTIONS = ("bus", "line", "cable", "series", "transformer", "shunt", "series_capacitor", "source", "device", "damper")
 TOP_KEYS = ("name", "f1_hz", "damping", "state", *SECTIONS)
+DAMPER_KEYS = ("name", "bus", "share", "size_s", "in_service")
 DAMPING_KEYS = ("r_ohm", "x_ohm", "resonance_hz", "k_max")
 SOURCE_KEYS = ("name", "bus", "voltage_pu", "r_ohm", "x_ohm", "s_sc_mva", "r_over_x")
 DEVICE_KEYS = (
@@ -36,101 +38,6 @@ DEVICE_KEYS = (
     "in_service",
 )
 _SHUNTS = ("shunt_capacitor", "shunt_reactor", "filter", "load")
-
-
-class FarmError(SeqsweepError):
-    """A farm that cannot be judged as it is written, with the way out."""
-
-
-class NoLoadFlow(FarmError):
-    """A farm whose network cannot carry the power of its devices."""
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceEntry:
-    """One ``[[device]]``.
-
-    Attributes
-    ----------
-    name, bus : str
-        Name, and the bus that its terminals are.
-    table : str
-        File of its admittance, relative to the farm file.
-    op : str or None
-        Operating point of the table; None where a power is given instead, or the table has one point.
-    active_power_mw, reactive_power_mvar : float or None
-        With them Y comes from the surrogate of the table, at the terminal voltage that the load flow finds.
-    count : int
-        Equal devices in parallel at this bus.
-    rating : float
-        Rating in multiples of the swept device: Y and the powers times this number.
-    """
-
-    name: str
-    bus: str
-    table: str
-    op: str | None
-    active_power_mw: float | None
-    reactive_power_mvar: float
-    count: int
-    rating: float
-
-
-@dataclass(frozen=True, slots=True)
-class DampingEntry:
-    """``[damping]``: what the devices' damping gain k multiplies, and which resonance the control is set to.
-
-    Attributes
-    ----------
-    r_ohm, x_ohm : float or None
-        Impedance at f1 that k multiplies, at the devices' terminals; None: the one that a device sees there.
-    resonance_hz : float or None
-        Signed frequency of the stronger component; None: that of the critical mode above f1.
-    k_max : float
-        Largest gain of a device.
-    """
-
-    r_ohm: float | None = None
-    x_ohm: float | None = None
-    resonance_hz: float | None = None
-    k_max: float = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class FarmEntry:
-    """A farm as it is written.
-
-    Attributes
-    ----------
-    name : str
-        Of the farm.
-    f1_hz : float
-        Fundamental (Hz).
-    network : Network
-        Branches between buses, the source's impedance to ground among them.
-    voltages_v : mapping of str to float
-        Rated voltage of every bus (V, line to line).
-    source_bus : str
-        Where the source's impedance ends.
-    source_voltage_v : float
-        Voltage behind it (V, line-to-line RMS).
-    source_z_ohm : complex
-        Its impedance at f1.
-    devices : tuple of DeviceEntry
-        Those in service.
-    damping : DampingEntry
-        Of their damping control.
-    """
-
-    name: str
-    f1_hz: float
-    network: Network
-    voltages_v: Mapping[str, float]
-    source_bus: str
-    source_voltage_v: float
-    source_z_ohm: complex
-    devices: tuple[DeviceEntry, ...]
-    damping: DampingEntry = DampingEntry()
 
 
 def farm_of(document: Mapping[str, Any], out_of_service: Sequence[str] = ()) -> FarmEntry:
@@ -188,10 +95,15 @@ def _as_written(document: Mapping[str, Any], out_of_service: Sequence[str]) -> F
         for k, entry in enumerate(entries_of(document, "device"), start=1)
         if _in_service(entry, out_of_service)
     )
+    dampers = tuple(
+        _damper(entry, k, voltages)
+        for k, entry in enumerate(entries_of(document, "damper"), start=1)
+        if _in_service(entry, out_of_service)
+    )
     if not devices:
         raise FarmError("no [[device]] is in service: there is nothing to judge")
     farm = FarmEntry(
-        str(document.get("name", "farm")), f1_hz, network, voltages, *source[1:], devices, _damping(document)
+        str(document.get("name", "farm")), f1_hz, network, voltages, *source[1:], devices, _damping(document), dampers
     )
     return replace(farm, network=_reached(farm))
 
@@ -409,6 +321,16 @@ def _damping(document: Mapping[str, Any]) -> DampingEntry:
         if not isinstance(value, int | float) or isinstance(value, bool) or (key in ("x_ohm", "k_max") and value <= 0):
             raise FarmError(f"damping: {key} = {value!r}; needed is a number" + (" above 0" if key != "r_ohm" else ""))
     return DampingEntry(**{key: float(value) for key, value in entry.items()})
+
+
+def _damper(entry: Mapping[str, Any], k: int, voltages: Mapping[str, float]) -> DamperEntry:
+    name = str(entry.get("name", f"damper{k}"))
+    known_keys(entry, DAMPER_KEYS, name)
+    share = checked_number(entry.get("share", 0.1), f"{name}: share")
+    if share > 10.0:
+        raise FarmError(f"{name}: share = {share:g}; needed is a part of the farm's rating, such as 0.1")
+    size = checked_number(entry["size_s"], f"{name}: size_s") if "size_s" in entry else None
+    return DamperEntry(name, _bus(entry, "bus", name, voltages), share, size)
 
 
 def checked_number(value: Any, where: str) -> float:

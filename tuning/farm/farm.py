@@ -9,7 +9,8 @@ import numpy as np
 
 from ...identify.frames import dq_to_pn
 from ...identify.response import FrequencyResponse
-from .document import FarmEntry
+from .dampers import Damper, dampers_of
+from .entries import FarmEntry
 from .judge import FarmVerdict, judge_farm
 from .system import System, system_of
 from .units import FAR, Library, ReadTable, Unit, units_of
@@ -17,10 +18,25 @@ from .units import FAR, Library, ReadTable, Unit, units_of
 
 @dataclass(frozen=True, slots=True)
 class Farm:
-    """A judged farm: what was asked, the devices where they stand, the joined system and the verdict."""
+    """A judged farm.
+
+    Attributes
+    ----------
+    entry : FarmEntry
+        What was asked.
+    units : tuple of Unit
+        The devices where they stand.
+    dampers : tuple of Damper
+        Grid-side damping converters as they are set.
+    system : System
+        All joined, the devices first.
+    judgement : FarmVerdict
+        Verdict and modes.
+    """
 
     entry: FarmEntry
     units: tuple[Unit, ...]
+    dampers: tuple[Damper, ...]
     system: System
     judgement: FarmVerdict
 
@@ -54,10 +70,19 @@ def judged(entry: FarmEntry, read: ReadTable | Library) -> Farm:
     return judged_with(entry, units)
 
 
-def judged_with(entry: FarmEntry, units: Sequence[Unit]) -> Farm:
-    """Verdict of a farm whose devices are known where they stand."""
-    system = system_of(units, entry.network, entry.f1_hz)
-    return Farm(entry, tuple(units), system, judge_farm(system))
+def judged_with(entry: FarmEntry, units: Sequence[Unit], dampers: tuple[Damper, ...] | None = None) -> Farm:
+    """Verdict of a farm whose devices are known where they stand; its dampers are set here unless they are given."""
+    units = tuple(units)
+    if dampers is None:
+        dampers = dampers_of(entry, units, _critical(entry, units)) if entry.dampers else ()
+    system = system_of((*units, *(damper.unit for damper in dampers)), entry.network, entry.f1_hz)
+    return Farm(entry, units, dampers, system, judge_farm(system))
+
+
+def _critical(entry: FarmEntry, units: tuple[Unit, ...]) -> complex | None:
+    """The critical mode of the farm without its dampers."""
+    mode = judge_farm(system_of(units, entry.network, entry.f1_hz)).critical
+    return None if mode is None else mode.pole
 
 
 def seen_from_source(farm: Farm, f_hz: Sequence[float] | np.ndarray) -> FrequencyResponse:
@@ -81,7 +106,7 @@ def admittance_at_source(farm: Farm, f_hz: np.ndarray) -> np.ndarray:
     With the source's impedance Zs in place the bus shows Z_t = (Y + Ys)^-1, so Y = Z_t^-1 - Ys.
     """
     entry = farm.entry
-    system = system_of(farm.units, entry.network, entry.f1_hz, [entry.source_bus])
+    system = system_of(farm.system.units, entry.network, entry.f1_hz, [entry.source_bus])
     s = 2j * np.pi * (f_hz - entry.f1_hz)
     z = system.impedance(s)
     total = np.linalg.solve(np.eye(z.shape[1]) + z @ system.admittance(s), z)

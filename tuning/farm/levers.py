@@ -18,7 +18,7 @@ from ...identify.fit.model import fit_poles
 from ...identify.fit.rational import RationalModel, evaluate
 from ...identify.response import FrequencyResponse
 from ..network.descriptor import J
-from .document import DeviceEntry, FarmEntry, FarmError
+from .entries import DeviceEntry, FarmEntry, FarmError
 from .farm import Farm, judged, judged_with
 from .loadflow import LoadFlow
 from .participation import moved_by, null_vectors
@@ -96,7 +96,7 @@ class GainLever:
 
     def changed(self, x: np.ndarray) -> Farm:
         units = [self._unit(unit, float(k)) for unit, k in zip(self.farm.units, x, strict=True)]
-        return judged_with(self.farm.entry, units)
+        return judged_with(self.farm.entry, units, self.farm.dampers)
 
     def slopes(self, farm: Farm, x: np.ndarray, poles: Sequence[complex]) -> np.ndarray:
         return np.array([self._row(farm, x, pole) for pole in poles])

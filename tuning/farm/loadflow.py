@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..network.assembly import port_impedance
-from .document import FarmEntry, NoLoadFlow
+from .entries import FarmEntry, NoLoadFlow
 
 Draw = Callable[[np.ndarray], np.ndarray]
 """Terminal voltages |V| (n,) in V to the complex power (n,) in VA that each device draws."""

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from math import hypot, pi
 from typing import Any
 
-from .document import FarmError, entries_of, source_impedance
+from .document import entries_of, source_impedance
+from .entries import FarmError
 from .network_parts import Network, Part, load_parts, shunt_parts, shunt_power
 
 _MATRIX = r"mpc\.{name}\s*=\s*\[(.*?)\]\s*;?"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .document import FarmError
+from .entries import FarmError
 from .matpower_files import from_matpower, is_matpower, to_matpower
 from .network_parts import Network
 from .pandapower_files import from_pandapower, is_pandapower, to_pandapower

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from math import pi
 from typing import Any
 
-from .document import SECTIONS, FarmError
+from .document import SECTIONS
+from .entries import FarmError
 
 LEFT_TO_TABLES = (
     "reactive powers of generators are left out: a device takes what its table says at its power; --reactive keeps them"

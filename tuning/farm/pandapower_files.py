@@ -12,7 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import pi
 from typing import Any
 
-from .document import FarmError, entries_of
+from .document import entries_of
+from .entries import FarmError
 from .network_parts import Network, Part, load_parts, shunt_parts
 
 REFUSED = (

@@ -88,8 +88,8 @@ def null_vectors(system: System, pole: complex) -> Shape:
 
 
 def moved_by(system: System, shape: Shape, change: Sequence[np.ndarray]) -> np.ndarray:
-    """What a pole (rad/s) moves by when Y of each unit changes by ``change`` (2, 2), alone: (n,) complex."""
-    places = [system.place(unit) for unit in system.units]
+    """What a pole (rad/s) moves by when Y of each of the first n units changes by ``change`` (2, 2), alone: (n,)."""
+    places = [system.place(unit) for unit in system.units[: len(change)]]
     moved = [-shape.left[at] @ dy @ shape.right[at] / shape.slope for at, dy in zip(places, change, strict=True)]
     return np.array(moved)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .advice_text import advice_json
+from .dampers import Damper
 from .doubt import doubt_of
 from .farm import Farm
 from .participation import ModeParts, ranked
@@ -34,6 +35,7 @@ def to_json(farm: Farm, advice: Sequence[Advice] = ()) -> dict[str, Any]:
         "n_unstable_locus": judgement.n_unstable_locus,
         "n_unstable_poles": judgement.n_unstable_poles,
         "devices": [_unit_json(farm, k) for k in range(len(farm.units))],
+        "dampers": [_damper_json(damper) for damper in farm.dampers],
         "modes": [_mode_json(farm, mode) for mode in judgement.modes],
         "doubt": _doubt_json(farm),
         "advice": [advice_json(one) for one in advice],
@@ -72,6 +74,23 @@ def _unit_json(farm: Farm, k: int) -> dict[str, Any]:
     }
 
 
+def _damper_json(damper: Damper) -> dict[str, Any]:
+    device = damper.device
+    return {
+        "name": damper.entry.name,
+        "bus": damper.entry.bus,
+        "share": damper.entry.share,
+        "limit_a": device.limit_a if np.isfinite(device.limit_a) else None,
+        "f_dq_hz": device.nu_rad_s / (2.0 * np.pi),
+        "y_mode_s": [device.y_mode.real, device.y_mode.imag],
+        "y_mirror_s": [device.y_mirror.real, device.y_mirror.imag],
+        "bandwidth_rad_s": device.bandwidth_rad_s,
+        "washout_rad_s": device.washout_rad_s,
+        "lag_s": device.lag_s,
+        "largest_admittance_s": damper.size_s,
+    }
+
+
 def _mode_json(farm: Farm, mode: ModeParts) -> dict[str, Any]:
     nu = mode.pole.imag / (2.0 * np.pi)
     return {
@@ -83,7 +102,7 @@ def _mode_json(farm: Farm, mode: ModeParts) -> dict[str, Any]:
         "damping": -mode.pole.real / abs(mode.pole),
         "devices": {
             unit.name: {"share": float(share), "re_per_s": value.real, "im_per_s": value.imag}
-            for unit, share, value in zip(farm.units, mode.shares, mode.devices, strict=True)
+            for unit, share, value in zip(farm.system.units, mode.shares, mode.devices, strict=True)
         },
         "buses": {
             bus: {"re_per_s_per_s": value.real, "im_per_s_per_s": value.imag}
@@ -160,6 +179,7 @@ def text_of(farm: Farm) -> str:
         f"{farm.entry.source_z_ohm.real:.4g} + j{farm.entry.source_z_ohm.imag:.4g} ohm",
         "",
         *_flow_lines(farm),
+        *_damper_lines(farm),
         "",
         f"{judgement.verdict}{chance}: {judgement.reason}",
     ]
@@ -181,6 +201,15 @@ def _flow_lines(farm: Farm) -> list[str]:
     return [head, "-" * len(head), *rows]
 
 
+def _damper_lines(farm: Farm) -> list[str]:
+    return [
+        f"{damper.entry.name}: grid-side damper at {damper.entry.bus}, set to {farm.entry.f1_hz - nu:.4g}/"
+        f"{farm.entry.f1_hz + nu:.4g} Hz with {damper.size_s:.3g} S, at most {damper.device.limit_a:.4g} A"
+        for damper in farm.dampers
+        for nu in (damper.device.nu_rad_s / (2.0 * np.pi),)
+    ]
+
+
 def _mode_lines(farm: Farm, mode: ModeParts) -> list[str]:
     nu = mode.pole.imag / (2.0 * np.pi)
     head = (
@@ -188,7 +217,7 @@ def _mode_lines(farm: Farm, mode: ModeParts) -> list[str]:
         f"+- {_Z95 * mode.std.real:.2g} 1/s, damping {-100.0 * mode.pole.real / abs(mode.pole):.2f} %"
     )
     most = ranked(list(mode.shares))[:5]
-    parts = ", ".join(f"{farm.units[k].name} {100.0 * mode.shares[k]:.0f} %" for k in most)
-    worse = [farm.units[k].name for k in most if mode.devices[k].real > 0.0]
+    parts = ", ".join(f"{farm.system.units[k].name} {100.0 * mode.shares[k]:.0f} %" for k in most)
+    worse = [farm.system.units[k].name for k in most if mode.devices[k].real > 0.0]
     growing = f"; more of {', '.join(worse)} makes it less damped" if worse else ""
     return [head, f"  takes part: {parts}{growing}"]

@@ -15,7 +15,8 @@ from typing import Any
 
 from ..crossings import Crossing, bode_crossings, critical_crossing
 from ..siso import SeriesRL
-from .document import FarmEntry, FarmError, NoLoadFlow, checked_number, entries_of, farm_without_islands, known_keys
+from .document import checked_number, entries_of, farm_without_islands, known_keys
+from .entries import FarmEntry, FarmError, NoLoadFlow
 from .farm import Farm, admittance_at_source, judged
 from .units import Library
 

@@ -22,7 +22,7 @@ from ...identify.table.read import Table
 from ...plant.errors import nearest
 from ..anchor import anchor_of
 from ..rows import rows_of
-from .document import DeviceEntry, FarmEntry, FarmError
+from .entries import DeviceEntry, FarmEntry, FarmError
 from .loadflow import LoadFlow, load_flow
 
 FAR = 0.005
@@ -105,6 +105,8 @@ class Unit:
         What it draws (VA).
     off : float
         By what part its terminal voltage differs from that of the sweep; NaN where the table does not say.
+    rated_va : float
+        Its rated power (VA), all parallel ones together; NaN where the table does not say.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Unit:
     voltage_v: float
     power_va: complex
     off: float
+    rated_va: float
 
     @property
     def turn(self) -> np.ndarray:
@@ -173,6 +176,7 @@ def _unit(library: Library, entry: DeviceEntry, source: Source, voltage_v: compl
         voltage_v=float(abs(voltage_v)),
         power_va=complex(power_va),
         off=_off(response, source, float(abs(voltage_v))),
+        rated_va=entry.rating * entry.count * float(source.bases.get("rated_power_va", np.nan)),
     )
 
 
