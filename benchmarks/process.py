@@ -1,15 +1,21 @@
 """The whole command: `seqsweep run examples/table1.toml` warm and for the first time ever, `--help`, memory.
 
-"First ever" has an empty NUMBA_CACHE_DIR: every kernel is compiled.
+"First ever" has an empty NUMBA_CACHE_DIR: every kernel is compiled. The ratios are of CPU times, taken in alternation
+with a bare ``import numpy, numba, pyarrow``: they hold on a busy machine too.
 """
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from statistics import median
 
 from harness import TABLE_I, Report, command, run_script
+
+BARS = {"run": 2.0}
 
 BROADBAND = ("multisine", "prbs", "qrb", "chirp")
 
@@ -37,9 +43,36 @@ def measure(quick: bool) -> Report:
     report.add(f"run, first ever, median of {cold_times}", median(t for t, _, _ in cold), "s", 6.0)
     report.add("--help, median", median(t for t, _, _ in helped), "s", 0.35)
     report.add("show, median", median(t for t, _, _ in shown), "s")
+    for name, ratio in _ratios(warm_times).items():
+        report.add(f"{name}, over a bare import of numpy, numba and pyarrow", ratio, "", BARS.get(name))
     report.add("peak memory of run, warm", max(m for _, m, _ in warm), "MB", 300.0)
     report.add("peak memory of run, first ever", max(m for _, m, _ in cold), "MB", 300.0)
     return report
+
+
+def _ratios(times: int) -> dict[str, float]:
+    """CPU times of whole commands over that of the bare import, medians of processes in turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        table = str(Path(folder) / "y.parquet")
+        commands = {
+            "run": ["run", str(TABLE_I), "-o", table, "--force", "--jobs", "2"],
+            "show": ["show", table],
+            "tune": ["tune", table, "--grid", "0.012+0.25j"],
+        }
+        spent: dict[str, list[float]] = {name: [] for name in ("bare", *commands)}
+        for _ in range(times):
+            spent["bare"].append(_bare_s())
+            for name, arguments in commands.items():
+                spent[name].append(command(arguments)[2])
+    return {name: median(spent[name]) / median(spent["bare"]) for name in commands}
+
+
+def _bare_s() -> float:
+    """CPU time (s) of a process that only imports."""
+    process = subprocess.Popen([sys.executable, "-c", "import numpy, numba, pyarrow"])
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return usage.ru_utime + usage.ru_stime
 
 
 def _campaign(folder: Path, signal: str) -> str:

@@ -265,7 +265,7 @@ class Batch:
             "uncertainty": self.limits.uncertainty,
             "max_simulated_s": self.limits.max_simulated_s,
             "condition": self.condition.facts(),
-            "points": [asdict(point) for point in self.points],
+            "points": [{name: getattr(point, name) for name in Frequency.__slots__} for point in self.points],
             "shots": [shot.facts() for of_point in self.shots for shot in of_point] or [p.facts() for p in self.plays],
             "signal": None if signal is None else _signal_facts(signal),
         }

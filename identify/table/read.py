@@ -19,6 +19,7 @@ import numpy as np
 from ...plant.errors import place_of
 from ..read_only import read_only
 from ..response import FrequencyResponse
+from .arrow_columns import doubles, doubles_in_lists, strings
 from .format import (
     COLUMNS,
     ELEMENTS,
@@ -237,18 +238,15 @@ def _numpy(path: str | Path, batch: Any) -> dict[str, np.ndarray]:
         if kind == "list of double":
             columns[name] = _cov(path, values)
         else:
-            columns[name] = np.asarray(values.to_numpy(zero_copy_only=False), dtype=str if kind == "string" else float)
+            columns[name] = strings(values) if kind == "string" else doubles(values)
     return columns
 
 
 def _cov(path: str | Path, values: Any) -> np.ndarray:
-    import pyarrow.compute as pc
-
-    lengths = pc.list_value_length(values).to_numpy(zero_copy_only=False)
-    flat = pc.list_flatten(values)
-    if np.any(lengths != N_COV) or flat.null_count:
+    cov = doubles_in_lists(values, N_COV)
+    if cov is None:
         raise TableError(f"{path}: column 'cov' must hold {N_COV} doubles in every row")
-    return np.asarray(flat.to_numpy(zero_copy_only=False), dtype=float).reshape(-1, N_COV)
+    return cov
 
 
 def _runs(portions: Iterable[dict[str, np.ndarray]]) -> Iterator[dict[str, np.ndarray]]:

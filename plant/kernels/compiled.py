@@ -94,7 +94,7 @@ class Kernel:
         if self._options.get("cache") and "?" not in kinds and (path := _path(self.py_func, self._options, kinds)):
             kept = _read(path) or _write(path, *_compiled(self.py_func, self._options, arguments))
         if kept and kept[0]:
-            return _loaded(*kept)
+            return _loaded(*kept, "".join(map(_letters, arguments)))
         return lambda arguments: self.dispatcher(*arguments)
 
 
@@ -108,10 +108,12 @@ _LETTERS = {"n": "p", "c": "ff"}
 def _kind(argument: Any) -> str:
     """What numba makes of an argument, as far as it can be handed over without it; "?" where it cannot."""
     if isinstance(argument, np.ndarray):
-        plain = argument.flags.c_contiguous and argument.flags.aligned and argument.dtype.isnative
-        return f"{argument.dtype.str}[{argument.ndim}]{'' if argument.flags.writeable else 'r'}" if plain else "?"
+        flags = argument.flags
+        plain = flags.c_contiguous and flags.aligned and argument.dtype.isnative
+        return f"{argument.dtype.str}[{argument.ndim}]{'' if flags.writeable else 'r'}" if plain else "?"
     if isinstance(argument, tuple):
-        return f"{type(argument).__name__}({','.join(map(_kind, argument))})"
+        floats = set(map(type, argument)) == {float}
+        return f"{type(argument).__name__}({len(argument) * 'f' if floats else ','.join(map(_kind, argument))})"
     return "f" if isinstance(argument, float) else _KINDS.get(type(argument), "?")
 
 
@@ -125,13 +127,13 @@ def _letters(argument: Any) -> str:
     return _LETTERS.get(kind, kind)
 
 
-def _values(argument: Any) -> list[Any]:
+def _values(argument: Any) -> Sequence[Any]:
     if isinstance(argument, np.ndarray):
-        head = [None, None, argument.size, argument.itemsize, argument.ctypes.data]
-        return [*head, *argument.shape, *argument.strides]
+        head = None, None, argument.size, argument.itemsize, argument.ctypes.data
+        return (*head, *argument.shape, *argument.strides)
     if isinstance(argument, tuple):
-        return [value for part in argument for value in _values(part)]
-    return [argument.real, argument.imag] if isinstance(argument, complex) else [argument]
+        return argument if set(map(type, argument)) == {float} else [x for part in argument for x in _values(part)]
+    return (argument.real, argument.imag) if isinstance(argument, complex) else (argument,)
 
 
 _CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_double, "b": ctypes.c_uint8}
@@ -177,8 +179,8 @@ def _object_code(library: Any) -> bytes:
     return bytes(library.codegen._tm.emit_object(llvm.parse_assembly(aligned)))
 
 
-def _loaded(name: str, code: bytes) -> Code:
-    """The function of that name, from object code; it lets go of the interpreter while it runs."""
+def _loaded(name: str, code: bytes, letters: str) -> Code:
+    """The function of that name, from object code, for such arguments; it lets go of the interpreter while it runs."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -188,14 +190,13 @@ def _loaded(name: str, code: bytes) -> Code:
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     _engines.append(engine)
-    function = ctypes.CFUNCTYPE(ctypes.c_int32)(engine.get_function_address(name))
+    taken = (_CTYPES["p"], _CTYPES["p"], *(_CTYPES[letter] for letter in letters))
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, *taken)(engine.get_function_address(name))
 
     def call(arguments: Sequence[Any]) -> None:
-        answer, error = ctypes.c_void_p(), ctypes.c_void_p()
-        letters = "".join(map(_letters, arguments))
-        values = [value for argument in arguments for value in _values(argument)]
-        taken = (_CTYPES[letter](value) for letter, value in zip(letters, values, strict=True))
-        status = function(ctypes.byref(answer), ctypes.byref(error), *taken)
+        unused = (ctypes.c_void_p * 2)()  # where an answer and an error would go
+        answer, error = ctypes.addressof(unused), ctypes.addressof(unused) + ctypes.sizeof(ctypes.c_void_p)
+        status = function(answer, error, *(value for argument in arguments for value in _values(argument)))
         if status not in (0, -2):  # fine, and numba's way to say "None"
             raise SystemError(f"a kernel ended with status {status}")
 

@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Annotated, Any
 
@@ -38,15 +38,15 @@ from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 """`ClickException`: newer versions of typer bring a click of their own, older ones import it."""
 
-app = typer.Typer(
-    name="seqsweep",
-    help="Sweep a converter nobody can look into: its 2x2 sequence admittance, as a table.",
-    no_args_is_help=True,
-    add_completion=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+_PROGRAM: dict[str, Any] = {
+    "name": "seqsweep",
+    "help": "Sweep a converter nobody can look into: its 2x2 sequence admittance, as a table.",
+    "no_args_is_help": True,
+    "add_completion": False,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+}
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
@@ -75,11 +75,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "import": cli_files.import_command,
 }
 
-for _name, _command in _COMMANDS.items():
-    app.command(_name)(_command)
 
-
-@app.callback(invoke_without_command=True)
 def _version(
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
     debug: Annotated[bool, typer.Option(faults.DEBUG, help="Print the details of a fault of the program.")] = False,
@@ -92,6 +88,18 @@ def _version(
 
         say(f"seqsweep {version_of('seqsweep')}, table format {TABLE_FORMAT}, Python {platform.python_version()}")
         raise typer.Exit
+
+
+def _program(names: Iterable[str]) -> typer.Typer:
+    """The command line with the commands of these names."""
+    program = typer.Typer(**_PROGRAM)
+    program.callback(invoke_without_command=True)(_version)
+    for name in names:
+        program.command(name)(_COMMANDS[name])
+    return program
+
+
+app = _program(_COMMANDS)
 
 
 def main() -> None:
@@ -118,11 +126,12 @@ def _status() -> int:
     arguments, debug = faults.command_line()
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # matrices are small here: more threads only get in each other's way
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it looks for them among all that is installed
     warnings.filterwarnings("ignore", message=".*still being processed by the workers", category=UserWarning)  # joblib
     with suppress(ValueError):  # only the main thread can be told
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout`, Slurm, docker stop: as Ctrl-C
     try:
-        result = app(arguments, standalone_mode=False)
+        result = _asked(arguments)(arguments, standalone_mode=False)
     except _USAGE_ERROR as error:
         if meant := _meant(arguments):
             tell(f"no command is called so; did you mean: seqsweep {meant}")
@@ -152,6 +161,11 @@ def _status() -> int:
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
         return _interrupted()
     return result if isinstance(result, int) else OK
+
+
+def _asked(arguments: Sequence[str]) -> typer.Typer:
+    """The one command that is asked: to prepare all of them takes as long as to import numpy."""
+    return _program(arguments[:1]) if arguments and arguments[0] in _COMMANDS else app
 
 
 _SYNONYMS = {

@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import fields
 from math import isnan, nan
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
@@ -20,6 +20,8 @@ from typing import IO, Any, NamedTuple, Protocol
 from ...identify.files import naming
 from ..measure.rows import BatchResult, Row
 from ..plan import Batch
+
+_COLUMNS = tuple(column.name for column in fields(Row))
 
 
 class OutputInUse(OSError):
@@ -167,10 +169,9 @@ def _checksum(key: str, text: str) -> str:
 
 def _plain(row: Row) -> dict[str, object]:
     """JSON has no NaN: null stands for it."""
-    values = asdict(row)
-    for name in ("y", "cov"):
-        values[name] = [None if isnan(x) else x for x in getattr(row, name)]
-    return {name: None if isinstance(x, float) and isnan(x) else x for name, x in values.items()}
+    values = {name: getattr(row, name) for name in _COLUMNS}
+    lists = {name: [None if isnan(x) else x for x in values[name]] for name in ("y", "cov")}
+    return {name: None if isinstance(x, float) and isnan(x) else x for name, x in (values | lists).items()}
 
 
 def _row(values: dict[str, Any]) -> Row:

@@ -1,15 +1,14 @@
-"""Batches through joblib: threads that share a host, processes, or other machines; what is lost is begun anew.
-
-Only this module knows joblib, with the one that identifies recordings.
-"""
+"""Batches to workers: threads that share a host, processes (joblib), or other machines; what is lost is begun anew."""
 
 from __future__ import annotations
 
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import partial
+from itertools import islice
 from typing import Any, NamedTuple
 
 from ...plant.errors import SeqsweepError
@@ -27,6 +26,9 @@ RESTARTS = 3
 class RunError(SeqsweepError):
     """A run that cannot begin as it was called."""
 
+
+Work = Callable[[Batch], tuple[str, BatchResult]]
+"""What a worker does with a batch: its key, for what comes back out of order, and its result."""
 
 WORKERS_S = 30.0
 """How long (s) a scheduler without a worker is waited for."""
@@ -85,13 +87,39 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
 def _parallel(
     plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], workers: Workers
 ) -> Iterator[tuple[str, BatchResult]]:
-    from joblib import delayed, parallel_config
-
-    jobs, backend = workers.jobs, workers.backend_for(plan, plant)
+    backend = workers.backend_for(plan, plant)
     if backend == "dask":
         yield from _on_cluster(plan, batches, workers)
+    elif backend == "loky":
+        yield from _in_processes(partial(_in_child, plan.hosting), batches, workers.jobs)
+    else:
+        with host_at_hand(plant, plan.hosting).measuring(workers.jobs) as measure:
+            yield from _in_threads(lambda batch: (batch.key, measure(batch)), batches, workers.jobs)
+
+
+def _in_threads(work: Work, batches: Sequence[Batch], jobs: int) -> Iterator[tuple[str, BatchResult]]:
+    """Results as they come; a few batches wait for each thread, and who stops listening stops the rest."""
+    if jobs == 1:
+        yield from map(work, batches)
         return
-    with _worker(plan, plant, jobs, backend) as work, parallel_config(backend=backend, n_jobs=jobs):
+    coming, pool = iter(batches), ThreadPoolExecutor(jobs)
+    waiting: set[Future[tuple[str, BatchResult]]] = set()
+    try:
+        while True:
+            waiting |= {pool.submit(work, batch) for batch in islice(coming, 3 * jobs - len(waiting))}
+            if not waiting:
+                return
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _in_processes(work: Work, batches: Sequence[Batch], jobs: int) -> Iterator[tuple[str, BatchResult]]:
+    from joblib import delayed, parallel_config
+
+    with parallel_config(backend="loky", n_jobs=jobs):
         yield from _pool()(delayed(work)(batch) for batch in batches)
 
 
@@ -162,18 +190,6 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[Any]:
         Client(cluster, set_as_default=True) as client,
     ):
         yield client
-
-
-@contextmanager
-def _worker(
-    plan: Plan, plant: Plant | PlantCard, jobs: int, backend: str
-) -> Iterator[Callable[[Batch], tuple[str, BatchResult]]]:
-    """The task of a batch: threads share a host, processes make their own."""
-    if backend == "loky":
-        yield partial(_in_child, plan.hosting)
-    else:
-        with host_at_hand(plant, plan.hosting).measuring(jobs) as measure:
-            yield lambda batch: (batch.key, measure(batch))
 
 
 def _in_child(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
