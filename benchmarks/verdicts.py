@@ -1,11 +1,13 @@
 """How often is the verdict wrong? Devices of five families, tables of all kinds, exact eigenvalues beside.
 
     python benchmarks/verdicts.py --tables 100                      a first look; a new seed, which is printed
+    python benchmarks/verdicts.py --tables 2000 --due               only cases in which a verdict is due, none swept
     python benchmarks/verdicts.py --seed 7 --only 123               one table again, every grid of it in words
     python benchmarks/verdicts.py --tables 3400 --swept 0.6 --calibration 2000 --jobs 2 --write --check
 
 Every table is judged on several grids. ``--check`` ends with 1 where a bar is missed; ``--write`` rewrites the figures
-of docs/how-often-wrong.md. Swept tables are kept in ``--cache`` and not swept again for the same seed.
+of docs/how-often-wrong.md. Answers are kept as they come: the same seed goes on where it was ended (by Ctrl-C, or by
+``--minutes``), and the figures are those of the tables that were really judged. Swept tables are kept as well.
 """
 
 from __future__ import annotations
@@ -15,8 +17,7 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from harness import KEPT, ROOT
-from verdict_families import calibration, score
+from verdict_families import calibration, kept, score
 from verdict_families.cases import Case, cases_of
 
 PAGE = ROOT / "docs" / "how-often-wrong.md"
@@ -37,6 +38,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--tables", type=int, default=100, help="how many tables are drawn")
     parser.add_argument("--grids", type=int, default=3, help="grids on which each is judged")
     parser.add_argument("--swept", type=float, default=0.4, help="share of tables that are swept by the runner")
+    parser.add_argument("--due", action="store_true", help="only cases in which a verdict is due, rows by formula")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further table after so long")
     parser.add_argument("--calibration", type=int, default=0, help="extra cases near the edge, for the probabilities")
     parser.add_argument("--seed", type=int, help="a new one unless given")
     parser.add_argument("--only", type=int, help="one table of the seed")
@@ -52,27 +55,41 @@ def main() -> int:
     asked = arguments()
     seed = secrets.randbelow(10**6) if asked.seed is None else asked.seed
     asked.cache.mkdir(parents=True, exist_ok=True)
-    one = partial(cases_of, seed, share_swept=asked.swept, grids=asked.grids, cache=asked.cache)
+    share, wanted = (0.0, partial(score.is_due, noise=score.NOISY)) if asked.due else (asked.swept, None)
+    one = partial(cases_of, seed, share_swept=share, grids=asked.grids, cache=asked.cache, is_wanted=wanted)
     if asked.only is not None:
         print(*[score.line_of(case) for case in one(asked.only)], sep="\n")
         return 0
-    begin = time.process_time()
-    cases = [case for of_table in _each(one, range(asked.tables), asked.jobs) for case in _told(of_table)]
-    near = [
-        s for s in _each(partial(calibration.stated, seed), _enough(asked.calibration), asked.jobs) if s is not None
-    ]
-    text, met = report(seed, asked, cases, near[: asked.calibration])
+    print(f"seed {seed}", file=sys.stderr)
+    file = kept.per_run(KEPT / "verdicts", ROOT, seed, asked.grids, f"{share:g}", "due" if asked.due else "all")
+    goes_on = _until(time.monotonic() + 60.0 * asked.minutes)
+    answered = partial(kept.answers, jobs=asked.jobs, goes_on=goes_on)
+    tables = list(_told(answered(one, range(asked.tables), file("cases"))))
+    near = _near(answered(partial(calibration.stated, seed), _enough(asked.calibration), file("calibration")))
+    text, met = report(seed, asked, tables, near[: asked.calibration])
     print(text)
-    print(f"\n{len(cases)} cases, {time.process_time() - begin:.0f} s of CPU in this process")
     if asked.write:
         _write(text)
     return 1 if asked.check and not met else 0
 
 
-def _told(cases: list[Case]) -> list[Case]:
-    """The cases; what is bad among them is told at once."""
-    print(*[f"{line}\n" for line in score.worst(cases)], sep="", end="", file=sys.stderr, flush=True)
-    return cases
+def _until(end_s: float) -> Callable[[], bool]:
+    return lambda: time.monotonic() < end_s
+
+
+def _told(tables: Iterator[list[Case]]) -> Iterator[list[Case]]:
+    """The tables' cases; what is bad among them is told at once. Ctrl-C ends them, and what there is counts."""
+    try:
+        for cases in tables:
+            print(*[f"{line}\n" for line in score.worst(cases)], sep="", end="", file=sys.stderr, flush=True)
+            yield cases
+    except KeyboardInterrupt:
+        print("ended early", file=sys.stderr)
+
+
+def _near(found: Iterator[Any]) -> list[calibration.Stated]:
+    """Cases of the calibration."""
+    return [stated for stated in found if stated is not None]
 
 
 def _enough(wanted: int) -> range:
@@ -80,24 +97,19 @@ def _enough(wanted: int) -> range:
     return range(round(2.2 * wanted))
 
 
-def _each(one: Callable[[int], Any], indices: Iterable[int], jobs: int) -> Iterator[Any]:
-    """Results in order."""
-    if jobs == 1:
-        yield from map(one, indices)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(one, indices, chunksize=4)
-
-
-def report(seed: int, asked: argparse.Namespace, cases: list[Case], near: list[calibration.Stated]) -> tuple[str, bool]:
-    """The figures as Markdown, and whether every bar is met."""
+def report(
+    seed: int, asked: argparse.Namespace, tables: list[list[Case]], near: list[calibration.Stated]
+) -> tuple[str, bool]:
+    """The figures as Markdown, of what was really judged, and whether every bar is met."""
+    cases = [case for of_table in tables for case in of_table]
     bars, parts = score.bars(cases), calibration.bins(near)
     swept = len({c.index for c in cases if c.spec.source != "exact"})
-    tables = len({c.index for c in cases})
-    command = f"--seed {seed} --tables {asked.tables} --grids {asked.grids} --swept {asked.swept:g}"
+    drawn = "--due" if asked.due else f"--swept {asked.swept:g}"
+    command = f"--seed {seed} --tables {len(tables)} --grids {asked.grids} {drawn}"
     lines = [
-        f"`python benchmarks/verdicts.py {command} --calibration {asked.calibration}`: {len(cases):,} cases of "
-        f"{tables:,} tables, {swept:,} of them swept by the runner. A verdict took {score.seconds(cases)} of CPU.",
+        f"`python benchmarks/verdicts.py {command} --calibration {len(near)}`: {len(cases):,} cases of "
+        f"{len({c.index for c in cases}):,} tables, {swept:,} of them swept by the runner. A verdict took "
+        f"{score.seconds(cases)} of CPU.",
         "",
         "| bar | cases | figure | asked | |",
         "|---|---|---|---|---|",

@@ -48,6 +48,12 @@ class Said:
     seconds: float
 
 
+NOTHING = Said(
+    "undecided", float("nan"), "", -1, -1, complex(np.nan, np.nan), np.full((2, 2), np.nan), float("nan"), 0.0
+)
+"""Before anything was asked."""
+
+
 def ask(response: FrequencyResponse, grid: tuple[float, float]) -> Said:
     """The verdict on a grid R, X (ohm at f1)."""
     from seqsweep.tuning.tune import tune

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from .asking import Said, ask
+from .asking import NOTHING, Said, ask
 from .linear import Linear
 from .tables import Spec, draw_spec, exact_pn, table_of
 from .truth import Truth, truth_of
@@ -59,8 +60,15 @@ class Case:
         return bool(self.said.verdict in ("stable", "unstable") and (p > 0.999 or p < 0.001))
 
 
-def cases_of(seed: int, index: int, share_swept: float, grids: int, cache: Path) -> list[Case]:
-    """Every case of one table."""
+def cases_of(
+    seed: int,
+    index: int,
+    share_swept: float,
+    grids: int,
+    cache: Path,
+    is_wanted: Callable[[Case], bool] | None = None,
+) -> list[Case]:
+    """Every case of one table, or those that are wanted; no question is asked of the others."""
     rng = np.random.default_rng([seed, index])
     family = FAMILIES[index % len(FAMILIES)]
     unit, r_over_x, found = _unit_with_edges(family, rng)
@@ -73,7 +81,7 @@ def cases_of(seed: int, index: int, share_swept: float, grids: int, cache: Path)
     nu_hz = nu_hz if len(nu_hz) else np.array([np.inf])
     error = float(np.median(off[usable])) if usable.any() else float("nan")
     noise = spec.noise if spec.source == "exact" else error
-    cases = []
+    cases, wanted = [], is_wanted or (lambda _: True)
     for number, (size, distance) in enumerate(_sizes(unit, found, grids, rng)):
         grid = grid_of(size, r_over_x)
         truth = truth_of(unit, grid, distance, nu_hz, noise)
@@ -93,10 +101,10 @@ def cases_of(seed: int, index: int, share_swept: float, grids: int, cache: Path)
                 x_ohm=grid[1],
                 scr=unit.bases.z_ohm / size,
                 truth=truth,
-                said=ask(response, grid),
+                said=NOTHING,
             )
         )
-    return cases
+    return [replace(case, said=ask(response, (case.r_ohm, case.x_ohm))) for case in cases if wanted(case)]
 
 
 def _source(unit: Unit, share_swept: float, rng: np.random.Generator) -> str:

@@ -50,7 +50,12 @@ class Bar:
         limit = f"<= {self.high:g}" if self.low <= 0.0 else f">= {self.low:g}"
         limit = f"{self.low:g} to {self.high:g}" if self.low > 0.0 and np.isfinite(self.high) else limit
         value = "-" if self.of == 0 else f"{self.value:.3g} {self.unit}".strip()
-        return f"| {self.what} | {self.of:,} | {value} | {limit} {self.unit} | {'met' if self.met else '**missed**'} |"
+        return f"| {self.what} | {self.of:,} | {value} | {limit} {self.unit} | {self._judgement()} |"
+
+    def _judgement(self) -> str:
+        if self.of == 0:
+            return "no case"
+        return "met" if self.met else "**missed**"
 
 
 def bars(cases: Sequence[Case]) -> list[Bar]:

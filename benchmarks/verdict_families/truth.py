@@ -47,9 +47,9 @@ class Truth:
     critical_covered : bool
         Whether rows lie around it as closely as `covers` asks.
     hidden : bool
-        Whether nothing in such a table can tell: every pole on the right lies beyond the last row, where the device is
-        passive or the loop gain below one, or comes from a mode of the device whose part of every row is below twice
-        the row's error.
+        Whether nothing in such a table can tell: every pole on the right is farther out than the last row, where the
+        device is passive or the loop gain below one, or comes from a mode of the device whose part of every row is
+        below twice the row's error.
     """
 
     stable: bool
@@ -134,7 +134,7 @@ def _active_and_gain(unit: Unit, grid: tuple[float, float], nu: np.ndarray) -> t
 def _is_hidden(unit: Unit, grid: tuple[float, float], unstable: np.ndarray, nu_hz: np.ndarray, noise: float) -> bool:
     if not len(unstable) or not np.isfinite(nu_hz[-1]):
         return False
-    beyond = np.abs(unstable.imag) > 2.0 * np.pi * nu_hz[-1]
+    beyond = np.abs(unstable) > 2.0 * np.pi * nu_hz[-1]
     active, gain = _active_and_gain(unit, grid, nu_hz[-1:])
     beyond &= not bool(active[0] and gain[0] > 1.0)
     return all(out or _is_drowned(unit, pole, nu_hz, noise) for out, pole in zip(beyond, unstable, strict=True))

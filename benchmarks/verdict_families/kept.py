@@ -1,0 +1,74 @@
+"""Answers kept on disk, one after the other, so that a run that was ended early can be counted, and gone on with.
+
+They belong to a seed and its options, and to the product that gave them: another one is asked anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+ASKED = ("tuning", "identify", "benchmarks/verdict_families")
+"""Folders whose text decides what the answers are."""
+
+
+def fingerprint(root: Path) -> str:
+    """Short hash of the product that answers, and of the benchmark that asks."""
+    digest = hashlib.sha256()
+    for folder in ASKED:
+        for file in sorted((root / folder).rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def answers(
+    one: Callable[[int], Any], indices: range, file: Path, jobs: int, goes_on: Callable[[], bool]
+) -> Iterator[Any]:
+    """Answers in order: those in ``file`` first, then new ones, which are added to it, as long as it ``goes_on``."""
+    known = list(_read(file))[: len(indices)]
+    yield from known
+    with file.open("ab") as out:
+        for answer in _each(one, indices[len(known) :], jobs, goes_on):
+            pickle.dump(answer, out)
+            out.flush()
+            yield answer
+
+
+def _read(file: Path) -> Iterator[Any]:
+    """Whole answers; what was cut off by an interruption is cut from the file."""
+    if not file.exists():
+        return
+    with file.open("r+b") as source:
+        while True:
+            end = source.tell()
+            try:
+                yield pickle.load(source)
+            except (EOFError, pickle.UnpicklingError):
+                source.truncate(end)
+                return
+
+
+def _each(one: Callable[[int], Any], indices: Iterable[int], jobs: int, goes_on: Callable[[], bool]) -> Iterator[Any]:
+    asked = takewhile(lambda _: goes_on(), indices)
+    if jobs == 1:
+        yield from map(one, asked)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        while batch := [index for _, index in zip(range(8 * jobs), asked, strict=False)]:
+            yield from pool.map(one, batch)
+
+
+def per_run(folder: Path, root: Path, *options: object) -> Callable[[str], Path]:
+    """File names of one run: of its options and its product."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return partial(_name, folder, "-".join(str(option) for option in (*options, fingerprint(root))))
+
+
+def _name(folder: Path, run: str, kind: str) -> Path:
+    return folder / f"{kind}-{run}.pickle"
