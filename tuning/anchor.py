@@ -2,14 +2,21 @@
 
 A device whose disturbed runs came to rest on an ideal source has none. One that came to rest behind a grid Z0 has as
 many as make that loop come out stable: as many as det(1 + Y Z0) turns, read from the rows.
+
+The runs bound the growth of what they excite: a mode that grows more slowly than that would not have been seen. Such a
+mode stays open, unless the rows tell that it decays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from math import erf, isfinite, sqrt
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from ..identify.fit.rational import RationalModel
 from .grids.in_time import grid_of_fact
 from .rows import Rows, wind_rows
 from .siso import Grid
@@ -29,12 +36,42 @@ class Anchor:
         The same in words.
     problem : str
         Why the fact cannot be used; empty where it can.
+    growth_bound_per_s : float
+        What grows more slowly (1/s) stays open; zero where somebody states that the device is stable.
     """
 
     n_unstable: int | None
     grid: Grid | None
     where: str
     problem: str = ""
+    growth_bound_per_s: float = 0.0
+
+
+class OpenMode(NamedTuple):
+    """A mode of the device's own (rad/s) that the runs leave open, its error, and how probably it decays."""
+
+    pole: complex
+    std_per_s: float
+    decays: float
+
+
+def open_mode(model: RationalModel, anchor: Anchor | None) -> OpenMode | None:
+    """The mode held stable on an ideal source that is slower than the bound and of which the rows tell the least."""
+    if anchor is None or anchor.n_unstable != 0:
+        return None
+    slow = np.flatnonzero((np.abs(model.poles.real) < anchor.growth_bound_per_s) & (model.poles.imag >= 0.0))
+    found = [_opened(complex(model.poles[k]), float(model.pole_std[k].real)) for k in slow]
+    return min(found, key=lambda mode: mode.decays, default=None)
+
+
+def _opened(pole: complex, std: float) -> OpenMode:
+    return OpenMode(pole, std, 0.5 * (1.0 + erf(-pole.real / max(std, 1e-300) / sqrt(2.0))))
+
+
+def _bound(fact: Any) -> float:
+    """The growth bound of a fact; zero where it has none."""
+    bound = fact.get("growth_bound_per_s") if isinstance(fact, Mapping) else None
+    return float(bound) if isinstance(bound, (int, float)) and isfinite(bound) else 0.0
 
 
 def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
@@ -42,7 +79,7 @@ def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
     fact = meta.get("stable_on")
     place = fact.get("grid") if isinstance(fact, Mapping) else None
     if place == "ideal":
-        return Anchor(0, None, "an ideal source")
+        return Anchor(0, None, "an ideal source", growth_bound_per_s=_bound(fact))
     if not isinstance(place, Mapping):
         return Anchor(None, None, "")
     grid = grid_of_fact(place, f1_hz)
@@ -55,4 +92,4 @@ def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
             f"the device was stable on {grid.label}, but the rows turn det(1 + Y Z) {turns} times there, which is "
             "unstable whatever the device's own poles: table and grid do not belong together, or rows are missing",
         )
-    return Anchor(turns, grid, grid.label)
+    return Anchor(turns, grid, grid.label, growth_bound_per_s=_bound(fact))

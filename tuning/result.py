@@ -18,8 +18,9 @@ from .crossings import Crossing
 from .gain import GainSearch, SignedSearch
 from .intervals import Interval
 from .margins import LocusMargins, Participation, StableRange
+from .objections import Decision
 from .siso import Grid, SeriesRL
-from .verdict import Decision, Stability
+from .verdict import Stability
 
 FORMAT = "seqsweep-tuning"
 VERSION = "1.3.0"

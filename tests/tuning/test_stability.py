@@ -18,10 +18,10 @@ from seqsweep.tuning.margins import (
     participation,
     passivity,
 )
-from seqsweep.tuning.poles import closed_loop, closed_loop_poles
+from seqsweep.tuning.poles import closed_loop, closed_loop_poles, is_swept
 from seqsweep.tuning.probability import locus_distance
 from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, impedance_pn, parse_grid, siso, siso_of_response
-from seqsweep.tuning.verdict import Stability, is_swept, judge
+from seqsweep.tuning.verdict import Stability, judge
 from seqsweep.tuning.winding import MAX_STEP_DEG, wind
 
 from ..identify.test_fit import F1_HZ, F_HZ, T_PN, U_V, W1, circuit, turbine

@@ -13,8 +13,8 @@ from math import erfc, sqrt
 
 import numpy as np
 
+from ..objections import Decision
 from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
-from ..verdict import Decision
 from .doubt import doubt_of
 from .locus import Followed, follow
 from .participation import ModeParts, parts_of

@@ -1,0 +1,56 @@
+"""What disturbed runs prove of a device, and what they leave open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.frames import dq_to_pn
+from seqsweep.identify.response import FrequencyResponse
+from seqsweep.tuning.result import PointTuning
+from seqsweep.tuning.siso import SeriesRL
+from seqsweep.tuning.text import CERTAIN
+from seqsweep.tuning.tune import tune_point
+
+F1_HZ = 50.0
+GRID = SeriesRL(0.02, 0.1, F1_HZ)
+
+
+def judged(growth_per_s: float, fact: dict[str, Any], noise: float = 0.0) -> PointTuning:
+    """A first-order device with a mode of its own at 8 Hz (dq) that grows so fast, on a grid that hardly moves it."""
+    nu = np.geomspace(0.7, 900.0, 80)
+    pole, s = growth_per_s + 2j * np.pi * 8.0, 2j * np.pi * nu[:, None, None]
+    residue = 0.5 * np.array([[1.0, 0.4], [0.3, 0.1]])
+    y = 2.0 / (1.0 + s / 400.0) * np.eye(2) + residue / (s - pole) + residue / (s - pole.conjugate())
+    rng = np.random.default_rng(3)
+    std = noise * np.linalg.norm(y, axis=(1, 2)) / 2.0
+    y = y + std[:, None, None] * (rng.normal(size=y.shape) + 1j * rng.normal(size=y.shape)) / np.sqrt(2.0)
+    covariance = np.maximum(std, 1e-9)[:, None, None] ** 2 / 2.0 * np.eye(8)
+    meta = {"op_id": "a", "stable_on": {"grid": "ideal", **fact}}
+    return tune_point(FrequencyResponse(F1_HZ + nu, dq_to_pn(y), F1_HZ, covariance=covariance, meta=meta), GRID)
+
+
+SHOTS = {"basis": "shots", "growth_bound_per_s": 0.7, "disturbed_s": 10.0}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+@pytest.mark.parametrize("growth_per_s", [0.1, 0.3, 0.6])
+def test_a_mode_that_grows_more_slowly_than_the_runs_exclude_is_never_certainly_stable(
+    growth_per_s: float, noise: float
+) -> None:
+    point = judged(growth_per_s, SHOTS, noise)
+    assert point.verdict != "stable" or (point.probability or 0.0) < CERTAIN
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("growth_per_s", [-0.3, -0.6, -3.0])
+def test_a_slow_mode_that_the_rows_show_to_decay_is_no_doubt(growth_per_s: float, noise: float) -> None:
+    assert judged(growth_per_s, SHOTS, noise).verdict == "stable"
+
+
+def test_the_reason_names_the_mode_that_the_runs_leave_open() -> None:
+    point = judged(0.3, SHOTS, 1e-2)
+    assert point.verdict == "undecided"
+    assert "may as well grow: the runs on an ideal source exclude only what grows faster than 0.7 1/s" in point.reason

@@ -1,0 +1,357 @@
+"""What may be held against a verdict: each objection in the words of the reason, or empty where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..identify.fit.model import MAX_ORDER
+from ..identify.fit.rational import RationalModel, evaluate
+from ..identify.uncertainty import NORMAL_95
+from .anchor import Anchor, OpenMode
+from .feeding import ACTIVE, activity, is_fed
+from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop_poles, is_beyond, is_swept
+from .probability import DECIDED, DECIDED_AT, Doubt
+from .remedy import advice_on_grid, grid_is_to_blame, remedy
+from .rows import Rows, difference
+from .siso import Grid
+from .unseen import Unseen, overruled
+from .winding import Winding
+
+LIGHTLY_DAMPED = 0.05
+"""Damping ratio below which a mode must lie inside the swept band to be believed."""
+
+_CLEARLY = 0.3  # part of Y that feeds a wave from which on a device surely does, its hold and delay aside
+_TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
+_UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y that no longer describe the rows
+_DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
+_FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
+
+Decision = Literal["stable", "unstable", "undecided"]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Everything a verdict may rest on."""
+
+    model: RationalModel
+    grid: Grid
+    loop: ClosedLoop
+    winding: Winding
+    doubt: Doubt
+    rows: Rows | None
+    anchor: Anchor | None
+    by_rows: int | None
+    hidden: Unseen | None
+    still_open: OpenMode | None
+
+    @property
+    def stable(self) -> bool:
+        """What the fit says."""
+        return self.winding.number == self.model.n_unstable
+
+    @property
+    def turns(self) -> str:
+        """The count in words."""
+        return f"winding number {self.winding.number}, open-loop unstable poles {self.model.n_unstable}"
+
+
+def decide(case: Case) -> tuple[Decision, str]:
+    objections = (
+        _untraced,
+        _unproved,
+        _too_few_rows,
+        _open_end,
+        _judges_disagree,
+        _swept_grid_denies,
+        _left_out_row_denies,
+        _may_hide,
+        _may_grow,
+        _improbable,
+        _unswept,
+        _grid_unmeasured,
+    )
+    for objection in objections:
+        reason = objection(case)
+        if reason:
+            return "undecided", reason
+    if case.stable:
+        return "stable", case.turns
+    return "unstable", f"{case.turns}; {_mode_text(case)}"
+
+
+def _untraced(case: Case) -> str:
+    return "" if case.winding.trusted else f"the locus could not be traced to the end ({case.turns})"
+
+
+def _unproved(case: Case) -> str:
+    """The count of the device's own unstable poles is what the fit made of it, or not what experiment says."""
+    model, anchor = case.model, case.anchor
+    if anchor is None:
+        return ""
+    if anchor.problem:
+        return anchor.problem
+    if anchor.n_unstable is None and model.n_unstable > 0:
+        return (
+            f"the fit has {model.n_unstable} unstable poles of the device's own, and nothing proves or excludes them: "
+            "the table does not say on which grid the device was stable. Say it: --stable-on ideal, or --stable-on "
+            "R+jX for the grid it was measured on"
+        )
+    if anchor.n_unstable is not None and model.n_unstable != anchor.n_unstable:
+        return (
+            f"the device was stable on {anchor.where}, which takes {anchor.n_unstable} unstable poles of its own, and "
+            f"the fit finds {model.n_unstable}: sweep more points"
+        )
+    return ""
+
+
+def _too_few_rows(case: Case) -> str:
+    """The order of the fit ended where the rows ran out, and they are not described."""
+    model = case.model
+    most = min(MAX_ORDER, (len(model.nu_hz) - 1) // 2)
+    unexplained = model.weighting != "covariance" or model.residual > _UNEXPLAINED
+    if case.rows is None or model.order + 2 <= most or not unexplained or _misfit(case.rows, model) < _ROUGH:
+        return ""
+    return (
+        f"{len(model.nu_hz)} rows tell no more than {most} poles apart, and the device has more: the fit leaves more "
+        "than noise unexplained; sweep more points"
+    )
+
+
+def _misfit(rows: Rows, model: RationalModel) -> float:
+    """Median of the rows' misfits relative to Y."""
+    y = rows.data.y
+    error = np.linalg.norm(evaluate(model, 2j * np.pi * rows.data.nu_hz) - y, axis=(1, 2))
+    return float(np.median(error / np.linalg.norm(y, axis=(1, 2))))
+
+
+def _open_end(case: Case) -> str:
+    """Above the band a loop that is active and whose gain is above one may do anything."""
+    if not case.stable:
+        return ""
+    end = case.model.nu_hz[-1]
+    if _active_at_end(case.model, case.grid):
+        return (
+            f"the sweep ends at |f - f1| = {end:.4g} Hz, where the device is still active and the loop gain above one: "
+            "sweep to higher frequencies"
+        )
+    mode = _mode_above(case)
+    return "" if mode is None else f"a mode at {mode}, above the swept band, may be unstable: sweep there"
+
+
+def _mode_above(case: Case) -> str | None:
+    """A mode that the fit sees above the band and that decides: surely unstable, or near to it if the device is active.
+
+    A device clearly active at the band's end feeds what is just above it.
+    """
+    model, loop = case.model, case.loop
+    above = (loop.f_hz > EDGE * model.nu_hz[-1]) & (np.abs(loop.poles) < _FAR * 2.0 * np.pi * model.nu_hz[-1])
+    doubtful = loop.poles.real > 3.0 * loop.std.real
+    if _activity_at_end(model) > _CLEARLY:
+        doubtful |= (loop.damping < RESONANCE_DAMPING) & ~loop.beyond
+    found = np.flatnonzero(above & doubtful)
+    return _place(model, float(loop.f_hz[found[0]])) if len(found) else None
+
+
+def _judges_disagree(case: Case) -> str:
+    """Poles, locus and rows have to count the same unstable modes."""
+    by_poles, by_locus = case.loop.n_unstable, case.model.n_unstable - case.winding.number
+    if by_poles != by_locus:
+        return f"locus and poles disagree ({case.turns}, {by_poles} unstable closed-loop poles)"
+    if case.rows is None or case.by_rows is None or case.by_rows == by_poles:
+        return ""
+    at = difference(case.rows, case.model, case.grid)
+    if at.in_noise:
+        return ""
+    return (
+        f"the rows, followed from one to the next, count {case.by_rows} unstable modes, the fit {by_poles}; they "
+        f"differ most near {_place(case.model, at.nu_hz)}: measure more points there"
+    )
+
+
+def _swept_grid_denies(case: Case) -> str:
+    """On the grid the table was swept on the fit has to be as stable as the device was seen to be."""
+    if case.anchor is None or case.anchor.grid is None:
+        return ""
+    poles = closed_loop_poles(case.model, case.anchor.grid)
+    unstable = poles[(poles.real > 0.0) & ~is_beyond(case.model, poles)]
+    if len(unstable) == 0:
+        return ""
+    worst = unstable[np.argmax(unstable.real)]
+    return (
+        f"the fit is unstable on {case.anchor.where}, where the device was seen to be stable, near "
+        f"{_place(case.model, abs(worst.imag) / (2.0 * np.pi))}: measure more points there"
+    )
+
+
+def _left_out_row_denies(case: Case) -> str:
+    """A row that does not agree with its neighbours is an error or a mode; only another one beside it can tell."""
+    if case.rows is None or case.rows.left_out is None or not case.stable:
+        return ""
+    nu_hz = overruled(case.model, case.rows.left_out, case.grid)
+    if nu_hz is None:
+        return ""
+    return (
+        f"the row at {_place(case.model, nu_hz)} does not agree with its neighbours and was left out; if it is right, "
+        "it decides: measure it again, and more points beside it"
+    )
+
+
+def _may_hide(case: Case) -> str:
+    """A mode narrower than the distance of the rows would make the loop unstable."""
+    if case.hidden is None or not case.hidden.is_shown:
+        return ""
+    place = _place(case.model, case.hidden.nu_hz)
+    what = "do not exclude" if case.hidden.in_gap else "ask for"
+    return (
+        f"the rows around {place} {what} a mode narrower than their distance, which would make the loop unstable: "
+        "measure more points there"
+    )
+
+
+def _may_grow(case: Case) -> str:
+    """A slow mode of the device's own that the disturbed runs leave open, and the rows too."""
+    mode, anchor = case.still_open, case.anchor
+    if mode is None or anchor is None or mode.decays >= DECIDED:
+        return ""
+    return (
+        f"the device's own mode at {_place(case.model, abs(mode.pole.imag) / (2.0 * np.pi))} decays with "
+        f"{-mode.pole.real:.2g} +- {NORMAL_95 * mode.std_per_s:.2g} 1/s, so that it may as well grow: the runs on "
+        f"{anchor.where} exclude only what grows faster than {anchor.growth_bound_per_s:.2g} 1/s. Longer runs, or more "
+        "points near it, would tell"
+    )
+
+
+def _improbable(case: Case) -> str:
+    """Too near the edge for what is known of Y."""
+    at = case.doubt
+    if not 1.0 - DECIDED < at.probability < DECIDED:
+        return ""
+    return (
+        f"the loop is stable with a probability of {at.probability:.1%}; what is missing are more or better points "
+        f"near {_place(case.model, at.nu_hz)}: {_advice(case)}"
+    )
+
+
+def _unswept(case: Case) -> str:
+    """Modes that decide need rows around them."""
+    loop, decisive = case.loop, _decisive(case)
+    hidden = _hidden_in_hole(case)
+    if hidden:
+        return hidden
+    unseen = [k for k in decisive if not is_swept(case.model, complex(loop.poles[k]))]
+    unseen = [k for k in unseen if loop.poles[k].real > 0.0 or _is_fed(case, float(loop.f_hz[k]))]
+    if not unseen or (not case.stable and len(unseen) < len(decisive)):
+        return ""
+    return (
+        f"a mode at {_place(case.model, float(loop.f_hz[unseen[0]]))} decides, and the table has no usable rows around "
+        "it: sweep there"
+    )
+
+
+def _grid_unmeasured(case: Case) -> str:
+    """Modes that decide need rows of the grid around them, too, where it is a table."""
+    loop, decisive = case.loop, _decisive(case)
+    wanted = {k: case.grid.missing_rows(*_place_and_width(complex(loop.poles[k]))) for k in decisive}
+    missing = [(k, band) for k, band in wanted.items() if band is not None]
+    if not missing or (not case.stable and len(missing) < len(decisive)):
+        return ""
+    k, (low, high) = missing[0]
+    return (
+        f"a mode at {_place(case.model, float(loop.f_hz[k]))} decides, and the grid was not measured from {low:.4g} to "
+        f"{high:.4g} Hz: scan it there"
+    )
+
+
+def _place_and_width(pole: complex) -> tuple[float, float]:
+    """|f - f1| and half width of a mode (Hz)."""
+    return abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
+
+
+def _hidden_in_hole(case: Case) -> str:
+    """A slow mode far nearer to f1 than all rows, and narrower than its distance from them, is only guessed at."""
+    lowest = float(case.model.nu_hz[0])
+    if case.loop.hole.start_hz > 0.0 or not case.stable:
+        return ""
+    poles = np.concatenate([case.model.poles, case.loop.poles])
+    deep = np.abs(poles) * _DEEP < 2.0 * np.pi * lowest
+    if not np.any(deep):
+        return ""
+    return f"slow modes decide, and the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
+
+
+def _mode_text(case: Case) -> str:
+    """The unstable mode that grows fastest, in words."""
+    loop = case.loop
+    unstable = [k for k in _decisive(case) if is_swept(case.model, complex(loop.poles[k]))]
+    pole = complex(loop.poles[unstable[0]])
+    if pole.imag == 0.0:
+        return f"an aperiodic mode grows at {pole.real:+.3g} rad/s"
+    place = _place(case.model, float(loop.f_hz[unstable[0]]))
+    return f"the mode at {place} grows at {pole.real:+.3g} rad/s (damping {100.0 * loop.damping[unstable[0]]:.1f} %)"
+
+
+def _advice(case: Case) -> str:
+    """Which rows, and how many times the periods, would bring the locus as far from zero as a verdict asks."""
+    model, poles = case.model, case.loop.poles
+    if grid_is_to_blame(model, case.grid, case.doubt):
+        return advice_on_grid(model, case.doubt)
+    nearest = complex(poles[np.argmin(np.abs(poles - 2j * np.pi * case.doubt.nu_hz))])
+    found = remedy(model, case.grid, nearest, (case.doubt.distance / DECIDED_AT) ** 2)
+    if found is None:
+        return "the loop is so close to the edge that no affordable number of periods decides"
+    low, high = (model.f1_hz + nu for nu in found.nu_hz)
+    where = f"{low:.4g} to {high:.4g} Hz" if high > low else f"{low:.4g} Hz"
+    return f"about {found.times} times the periods at {where} (mirror images count) would decide"
+
+
+def _place(model: RationalModel, nu_hz: float) -> str:
+    """A frequency of the dq frame as the pair seen in phase quantities."""
+    if nu_hz < model.nu_hz[0]:
+        return f"f1 (|f - f1| below {model.nu_hz[0]:.2g} Hz)"
+    return f"{model.f1_hz - nu_hz:.4g}/{model.f1_hz + nu_hz:.4g} Hz"
+
+
+def _decisive(case: Case) -> list[int]:
+    """Modes the verdict hangs on: the unstable ones, or the resonance and everything lightly damped."""
+    loop = case.loop
+    if not case.stable:
+        return [int(k) for k in np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)]
+    within = loop.f_hz < EDGE * case.model.nu_hz[-1]
+    light = np.flatnonzero((loop.damping < LIGHTLY_DAMPED) & within).tolist()
+    return sorted({*light, *([] if loop.leading is None else [loop.leading])})
+
+
+def _is_fed(case: Case, nu_hz: float) -> bool:
+    """Whether an oscillation could be fed in the gap between rows that holds ``nu_hz``."""
+    rows = np.concatenate([[0.0], case.model.nu_hz, [EDGE * nu_hz]])
+    above = int(np.clip(np.searchsorted(rows, nu_hz), 1, len(rows) - 1))
+    s = 2j * np.pi * np.linspace(rows[above - 1], rows[above], 9)
+    return is_fed(evaluate(case.model, s), case.grid.impedance_dq(s))
+
+
+def _active_at_end(model: RationalModel, grid: Grid) -> bool:
+    """Whether the device may still bring a loop to oscillate above the swept band: not passive, gain above one.
+
+    Unless the loop gain turns so slowly, as by the delay of half a step, that -1 is many times the band away.
+    """
+    end = float(model.nu_hz[-1])
+    s = 2j * np.pi * end * np.array([1.0 / _TREND, 1.0])
+    before, gains = np.linalg.eigvals(evaluate(model, s) @ grid.impedance_dq(s))
+    turning = any(_reaches_minus_one(gain, before) for gain in gains if abs(gain) > 1.0)
+    return bool(turning and _activity_at_end(model) > ACTIVE)
+
+
+def _activity_at_end(model: RationalModel) -> float:
+    """Part of Y at the band's end that feeds a wave."""
+    return float(activity(evaluate(model, 2j * np.pi * model.nu_hz[-1:]))[0])
+
+
+def _reaches_minus_one(gain: complex, before: np.ndarray) -> bool:
+    """Whether a loop gain turning on as it did since `_TREND` times lower frequency comes to -1 within `_FAR` bands."""
+    earlier = before[np.argmin(np.abs(before - gain))]
+    turn = np.angle(gain / earlier) * np.sign(np.angle(gain))  # towards -1 where positive, in 1 - 1/_TREND of the band
+    left = np.pi - abs(np.angle(gain))
+    return bool(left < np.pi / 4.0 or turn / (1.0 - 1.0 / _TREND) * (_FAR - 1.0) > left)
