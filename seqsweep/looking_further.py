@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .identify.response import FrequencyResponse
-from .identify.surrogate.surrogate import Surrogate, build_surrogate
+from .identify.surrogate.store import surrogate_of
+from .identify.surrogate.surrogate import Surrogate
 from .identify.table.read import Table, read_table
 from .plant.errors import SeqsweepError
 from .sweep.bank.judge import judge_bank
@@ -160,4 +161,4 @@ def surrogate(y: Table) -> Surrogate:
     SeqsweepError
         If the table holds too few operating points, or some that leave a direction unseen.
     """
-    return build_surrogate(y.responses)
+    return surrogate_of(y)

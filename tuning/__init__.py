@@ -3,8 +3,8 @@
 At the root stands what one verdict passes: `siso` (the paper's equivalents), `crossings`, `winding`, `poles`, `rows`
 and `feeding` (the judges and what they look at), `unseen` (what may hide between rows), `probability` and `anchor` (how
 sure, and what experiment proved), `objections` and `verdict`, `margins`, `intervals`, `gain` (k), `tune`, `result`,
-`text` and `figures`; beside them `remedy`, `grid_check`, `metrics` with report and figure, and `worst` (the worst
-operating point of a region).
+`text` and `figures`; beside them `remedy`, `grid_check`, `metrics` with report and figure, and `region` (operating
+points that follow from a grid, and the worst of a region).
 
 `grids`     what a device may stand on: series R-L, elements, tables, regions, other devices
 `network`   lines and loads between them

@@ -38,9 +38,19 @@ def read_surrogate(path: str | Path) -> Surrogate:
     SurrogateError
         If no surrogate can be built from it.
     """
-    table = read_table(path)
+    return surrogate_of(read_table(path))
+
+
+def surrogate_of(table: Table) -> Surrogate:
+    """The surrogate of a table that was read; with the products that stand in its metadata, if any.
+
+    Raises
+    ------
+    SurrogateError
+        If no surrogate can be built from it.
+    """
     usable = [response for response in table.responses if response.usable.any()]
-    return build_surrogate(usable, shapes=_shapes(table.meta.get("surrogate")))
+    return build_surrogate(usable, shapes=_shapes(table.meta.get("surrogate")), bases=table.meta.get("bases"))
 
 
 def _plain(shape: Mapping[str, Sequence[Sequence[int]]]) -> dict[str, Any]:

@@ -197,6 +197,10 @@ class Surrogate:
         relative = self.evaluate(points).relative.max(axis=1)
         return float(relative.max()), points[int(np.argmax(relative))]
 
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """(p,) bool: operating points (p, 3) at which it has something to say."""
+        return self.region.holds(points)
+
     def check_inside(self, point: Sequence[float], name: str) -> None:
         """Refuse an operating point (3,) outside the region, in the name of what asked for it."""
         at = np.asarray(point, dtype=float)
@@ -235,7 +239,10 @@ def name_of(point: Sequence[float] | np.ndarray) -> str:
 
 
 def build_surrogate(
-    responses: Sequence[FrequencyResponse], shapes: Sequence[Shape] | None = None, region: Region | None = None
+    responses: Sequence[FrequencyResponse],
+    shapes: Sequence[Shape] | None = None,
+    region: Region | None = None,
+    bases: Mapping[str, Any] | None = None,
 ) -> Surrogate:
     """A surrogate from the operating points of a table.
 
@@ -247,6 +254,8 @@ def build_surrogate(
         The products, where they were chosen before; None: chosen here.
     region : Region or None
         Where it is to speak; None: the box of the swept points.
+    bases : mapping or None
+        The device's rating, as a table tells it.
 
     Raises
     ------
@@ -272,7 +281,7 @@ def build_surrogate(
         models=models,
         sure=certainty(models[0], data, noise),
         terminal=_terminal(responses, data.x),
-        meta=_common_facts(responses),
+        meta={**_common_facts(responses), "bases": dict(bases or {})},
     )
 
 

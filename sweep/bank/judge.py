@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,12 +25,16 @@ from ...tuning.bank.entries import BankEntry
 from ...tuning.bank.judgement import PairVerdict, judge_pair
 from ...tuning.tune import Device, fitted
 from ..run import shards
+from .following import Following
 
 VERSION = "1"
 """Of the judgement: other numbers for the same pair are another version."""
 
 CHUNK = 25
 """Pairs judged and kept together."""
+
+DeviceOn = Callable[[BankEntry], Device]
+"""The device as it is judged on a grid."""
 
 Report = Callable[[int, int], None]
 """Called with (pairs done, pairs in all)."""
@@ -48,7 +53,7 @@ class Chunk(NamedTuple):
 
 
 def judge_bank(
-    responses: Sequence[FrequencyResponse],
+    responses: Sequence[FrequencyResponse] | Following,
     bases: Mapping[str, Any],
     digest: str,
     entries: Sequence[BankEntry],
@@ -63,8 +68,8 @@ def judge_bank(
 
     Parameters
     ----------
-    responses : sequence of FrequencyResponse
-        Operating points of the device.
+    responses : sequence of FrequencyResponse or Following
+        Operating points of the device, or dispatches whose operating point follows from each grid.
     bases : mapping
         Its rating.
     digest : str
@@ -144,12 +149,12 @@ def _refuse_strangers(folder: Path, chunks: Sequence[Chunk]) -> None:
 
 
 def _missing(
-    responses: Sequence[FrequencyResponse], bases: Mapping[str, Any], chunks: Sequence[Chunk], jobs: int
+    responses: Sequence[FrequencyResponse] | Following, bases: Mapping[str, Any], chunks: Sequence[Chunk], jobs: int
 ) -> Iterator[tuple[str, list[PairVerdict]]]:
     """(key, verdicts) of chunks that are not kept yet, as they come."""
     if not chunks:
         return
-    devices = {op: fitted(responses[op]) for op in sorted({chunk.op for chunk in chunks})}
+    devices = {op: _device_of(responses, op) for op in sorted({chunk.op for chunk in chunks})}
     if jobs == 1 or len(chunks) == 1:
         for chunk in chunks:
             yield _judged(devices[chunk.op], chunk, bases)
@@ -160,12 +165,30 @@ def _missing(
     yield from Parallel(n_jobs=min(jobs, len(chunks)), return_as="generator_unordered")(work)
 
 
-def _judged(device: Device, chunk: Chunk, bases: Mapping[str, Any]) -> tuple[str, list[PairVerdict]]:
-    return chunk.key, [judge_pair(device, entry, bases) for entry in chunk.entries]
+def _device_of(responses: Sequence[FrequencyResponse] | Following, op: int) -> DeviceOn:
+    """The operating point on any grid: fitted once, or found anew on each."""
+    if isinstance(responses, Following):
+        return partial(responses.device, op)
+    device = fitted(responses[op])
+    return partial(_the_same, device)
+
+
+def _the_same(device: Device, entry: BankEntry) -> Device:
+    return device
+
+
+def _judged(device_on: DeviceOn, chunk: Chunk, bases: Mapping[str, Any]) -> tuple[str, list[PairVerdict]]:
+    return chunk.key, [judge_pair(device_on(entry), entry, bases) for entry in chunk.entries]
+
+
+def _names(responses: Sequence[FrequencyResponse] | Following) -> list[str]:
+    if isinstance(responses, Following):
+        return responses.names
+    return [str(response.meta.get("op_id", "")) for response in responses]
 
 
 def _with_elements(
-    responses: Sequence[FrequencyResponse],
+    responses: Sequence[FrequencyResponse] | Following,
     bases: Mapping[str, Any],
     entries: Sequence[BankEntry],
     verdicts: list[PairVerdict],
@@ -174,13 +197,12 @@ def _with_elements(
     """The worst pairs with the critical value of each element."""
     by_id = {entry.grid_id: entry for entry in entries}
     worst = [v for v in verdicts if v.status == "ok"][:most]
-    devices = {
-        str(r.meta.get("op_id", "")): fitted(r)
-        for r in responses
-        if any(v.op_id == str(r.meta.get("op_id", "")) for v in worst)
-    }
+    names = _names(responses)
+    devices = {v.op_id: _device_of(responses, names.index(v.op_id)) for v in worst}
     found = {
-        (v.grid_id, v.op_id): judge_pair(devices[v.op_id], by_id[v.grid_id], bases, elements=True).elements
+        (v.grid_id, v.op_id): judge_pair(
+            devices[v.op_id](by_id[v.grid_id]), by_id[v.grid_id], bases, elements=True
+        ).elements
         for v in worst
     }
     return [replace(v, elements=found.get((v.grid_id, v.op_id), v.elements)) for v in verdicts]

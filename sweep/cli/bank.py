@@ -7,12 +7,19 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .anywhere import Power, SourceVoltage, check_unasked, is_surrogate, model_of, powers_of
 from .say import columns, say, tell
 from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...identify.response import FrequencyResponse
+    from ..bank.following import Following
 
 LINE_S = 5.0
 """Seconds between lines of progress."""
@@ -31,6 +38,8 @@ def judge(
     elements: Annotated[
         int, typer.Option(min=0, metavar="N", help="Critical value of each element, of the N worst pairs.")
     ] = 5,
+    power: Power = None,
+    source_voltage: SourceVoltage = None,
     stable_on: StableOn = None,
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="HZ-HZ", help="Leave these rows out, such as 50-70; repeatable.")
@@ -42,19 +51,27 @@ def judge(
     from ...identify.table.read import read_table
     from ...tuning.bank.entries import check_single, read_bank
     from ...tuning.tune import chosen
+    from ..bank.following import Following
     from ..bank.judge import judge_bank
     from ..bank.report import report_text
     from .decide import as_told
 
     check_outputs(output, force, plot, ".parquet")
     content = as_told(read_table(table), stable_on, exclude or ())
-    responses = chosen(content.responses, op)
+    responses: Sequence[FrequencyResponse] | Following = chosen(content.responses, op)
+    names = [r.meta.get("op_id") for r in chosen(content.responses, op)]
+    if is_surrogate(content):
+        model = model_of(content)
+        responses = Following(model, tuple(powers_of(power, model)), source_voltage)
+        names = responses.names
+    else:
+        check_unasked(content, power, source_voltage)
     bank = read_bank(grids, table)
     entries = bank.entries
     for remark in bank.remarks:
         tell(remark)
-    check_single(bank, responses[0].f1_hz)
-    digest = f"{content.meta['sha256']} {stable_on} {exclude} {[r.meta.get('op_id') for r in responses]}"
+    check_single(bank, content.meta["f1_hz"])
+    digest = f"{content.meta['sha256']} {stable_on} {exclude} {names} {source_voltage}"
     verdicts = judge_bank(
         responses,
         content.meta.get("bases", {}),
@@ -66,7 +83,7 @@ def judge(
         discard=force,
         report=_progress(),
     )
-    f1_hz = responses[0].f1_hz
+    f1_hz = content.meta["f1_hz"]
     say(report_text(verdicts, f1_hz, columns()))
     if output is not None:
         from ..bank.table import write_judge

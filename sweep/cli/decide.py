@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from .anywhere import Power, SourceVoltage, check_unasked, is_surrogate, on_grid, tune_worst
 from .say import columns, say, tell
 from .shared import (
     NOT_ALL_OK,
@@ -26,6 +27,7 @@ from .shared import (
 
 if TYPE_CHECKING:
     from ...identify.table.read import Table
+    from ...tuning.region.worst import Least
     from ...tuning.siso import Grid
 
 
@@ -50,7 +52,14 @@ def tune(
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="HZ-HZ", help="Leave these rows out, such as 50-70; repeatable.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm.")] = os.cpu_count() or 1,
+    worst: Annotated[
+        bool, typer.Option("--worst", help="Search all operating points between the table's; --grid may be a bank.")
+    ] = False,
+    least: Annotated[str, typer.Option(help="What is least there: margin, damping or probability.")] = "margin",
+    sweeps: Annotated[int, typer.Option(min=0, help="Sweeps to confirm the worst point; 0: none.")] = 4,
+    power: Power = None,
+    source_voltage: SourceVoltage = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm and --worst.")] = os.cpu_count() or 1,
     force: Force = False,
 ) -> None:
     """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
@@ -63,13 +72,23 @@ def tune(
     check_outputs(output, force, plot, ".json")
     scales = _scales(scale)
     content = as_told(read_table(table), stable_on, exclude or ())
-    on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
-    result = judge(content, on, margin=margin, op_ids=op, scales=scales)
+    told = ""
+    if worst:
+        result, told = tune_worst(content, grid, _least(least), margin, source_voltage, sweeps, jobs)
+    else:
+        on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
+        if is_surrogate(content) and on != "own":
+            content = on_grid(content, power, on, source_voltage)
+        else:
+            check_unasked(content, power, source_voltage)
+        result = judge(content, on, margin=margin, op_ids=op, scales=scales)
     if confirm:
         from ..confirm import confirm as confirm_gain
 
         result = confirm_gain(result, content.meta["configuration"], jobs=jobs, report=tell)
     say(format_table(result, columns()))
+    if told:
+        say(told)
     if output is not None:
         write_json(result, output)
     if plot is not None and result.worst_fitted is None:
@@ -78,6 +97,12 @@ def tune(
         from ...tuning.figures import plot_result
 
         plot_result(result, plot)
+
+
+def _least(text: str) -> Least:
+    if text not in ("margin", "damping", "probability"):
+        raise WrongInput(f"--least {text!r}: needed is margin, damping or probability")
+    return text  # type: ignore[return-value]
 
 
 def as_told(table: Table, stable_on: str | None, exclude: Sequence[str]) -> Table:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ...identify.surrogate.surrogate import Surrogate
-    from ...tuning.worst import Worst
+    from ...tuning.region.worst import Worst
 
 
 def surrogate(
@@ -92,8 +92,8 @@ def _line(model: Surrogate, point: np.ndarray) -> str:
 
 def _worst(model: Surrogate, table: Path, text: str, source_voltage: float | None) -> Worst:
     from ...identify.table.read import read_metadata
+    from ...tuning.region.worst import worst_point
     from ...tuning.siso import parse_grid
-    from ...tuning.worst import worst_point
 
     rated = read_metadata(table)["bases"]["rated_voltage_v"]
     worst = worst_point(model, parse_grid(text, model.f1_hz), source_voltage, rated)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...identify.surrogate.surrogate import AXES, Surrogate
 from ...identify.views.style import DEVICE, QUIET, WARNING, new_figure, write_figure
-from ...tuning.worst import Worst
+from ...tuning.region.worst import Worst
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,9 @@ import pytest
 from seqsweep.identify.surrogate.store import read_surrogate
 from seqsweep.identify.table.read import read_table, validate_table
 from seqsweep.sweep.config.sections import Config
+from seqsweep.tuning.region.scan import scan
+from seqsweep.tuning.region.worst import worst_point
 from seqsweep.tuning.siso import parse_grid
-from seqsweep.tuning.worst import margins_of, worst_point
 
 from ..support import oracle
 from ..support.commands import command
@@ -80,7 +81,7 @@ def test_the_worst_point_is_no_better_than_any_of_many(folder):
     worst = worst_point(surrogate, grid)
     random = np.random.default_rng(2)
     points = surrogate.region.low + random.random((300, 3)) * (surrogate.region.high - surrogate.region.low)
-    assert worst.tuning.stability.critical.m <= margins_of(surrogate, grid, points).min() * 1.005
+    assert worst.tuning.stability.critical.m <= scan(surrogate, grid, points).margin_m.min() * 1.005
 
 
 def test_load_flow_of_the_worst_point_is_that_of_the_exact_device(folder):

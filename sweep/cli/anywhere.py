@@ -1,0 +1,174 @@
+"""What commands share that take a surrogate where a table goes: dispatches on a grid, and the worst of a region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .say import tell
+from .shared import WrongInput
+
+if TYPE_CHECKING:
+    from ...identify.surrogate.surrogate import Surrogate
+    from ...identify.table.read import Table
+    from ...tuning.region.loadflow import Situation
+    from ...tuning.region.worst import Least
+    from ...tuning.result import TuningResult
+    from ...tuning.siso import Grid
+    from ..worst import ConfirmedWorst
+
+SourceVoltage = Annotated[
+    float | None,
+    typer.Option(metavar="PU", help="A surrogate's |v| follows by load flow from this voltage behind the grid."),
+]
+Power = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--power", metavar="P[,Q]", help="Dispatch of a surrogate (MW, Mvar); repeatable. Else ends and middle."
+    ),
+]
+
+
+def is_surrogate(table: Table) -> bool:
+    """Whether the file was written as a surrogate, to be asked between its operating points."""
+    return bool(table.meta.get("surrogate"))
+
+
+def model_of(table: Table) -> Surrogate:
+    """The surrogate of a table."""
+    from ...identify.surrogate.store import surrogate_of
+
+    return surrogate_of(table)
+
+
+def powers_of(texts: Sequence[str] | None, model: Surrogate) -> list[tuple[float, float]]:
+    """The dispatches that were asked for, or those an operator asks about."""
+    from ...tuning.region.loadflow import dispatches
+
+    return [_power(text) for text in texts] if texts else dispatches(model)
+
+
+def _power(text: str) -> tuple[float, float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2) or not all(map(isfinite, values)):
+        raise WrongInput(f"--power {text!r}: needed is P or P,Q in MW and Mvar, such as 0.65 or 0.65,-0.1")
+    return values[0], values[1] if len(values) == 2 else 0.0
+
+
+def check_unasked(table: Table, power: Sequence[str] | None, source_voltage: float | None) -> None:
+    """Refuse what only a surrogate can answer."""
+    if power or source_voltage is not None:
+        raise WrongInput(
+            "--power and --source-voltage ask a surrogate: write one with seqsweep surrogate TABLE.parquet -o FILE"
+        )
+
+
+def situation_of(model: Surrogate, name: str, grid: Grid, source_voltage: float | None) -> Situation:
+    """A grid with the source behind it."""
+    from ...tuning.region.loadflow import Situation
+
+    return Situation(name, grid, source_voltage, model.meta["bases"].get("rated_voltage_v"))
+
+
+def on_grid(table: Table, power: Sequence[str] | None, grid: Grid, source_voltage: float | None) -> Table:
+    """The table that tuning reads: the device at each dispatch, as the surrogate has it on this grid.
+
+    A dispatch that the grid cannot carry within the region is told and left out.
+    """
+    from ...plant.errors import SeqsweepError
+    from ...tuning.region.loadflow import predicted_on
+
+    model = model_of(table)
+    situation = situation_of(model, grid.label, grid, source_voltage)
+    responses, lost = [], []
+    for each in powers_of(power, model):
+        try:
+            responses.append(predicted_on(model, each, situation))
+        except SeqsweepError as error:
+            lost.append(error)
+    if not responses:
+        raise lost[0]
+    for error in lost:
+        tell(str(error))
+    return replace(table, responses=tuple(responses), meta={**table.meta, "operating_points": []})
+
+
+def situations(model: Surrogate, grid: str, source_voltage: float | None) -> list[Situation]:
+    """The grids that ``--grid`` names: one, or a bank."""
+    from ...tuning.bank.entries import bank_of
+    from ...tuning.grids.open import open_grid
+    from ...tuning.grids.regions import RegionGrid
+
+    path = Path(grid)
+    if path.is_dir() or path.suffix.lower() in (".toml", ".parquet"):
+        opened = [(entry.grid_id, entry.open(model.f1_hz)) for entry in bank_of(path)]
+        if any(isinstance(each, RegionGrid) for _, each in opened):
+            raise WrongInput(f"{grid}: a region of Z has no single worst operating point; give its members")
+        return [situation_of(model, name, each, source_voltage) for name, each in opened]  # type: ignore[arg-type]
+    one = open_grid(grid, model.f1_hz)
+    return [situation_of(model, one.label, one, source_voltage)]
+
+
+def tune_worst(
+    table: Table, grid: str, least: Least, margin: float, source_voltage: float | None, sweeps: int, jobs: int
+) -> tuple[TuningResult, str]:
+    """The worst operating point over the region, confirmed by sweeps, and what is to be said of it."""
+    from ...tuning.region.worst import Worst, worst_of_bank
+    from ...tuning.result import TuningResult
+    from ..worst import confirmed_worst, predicted_worst, sweeping
+
+    model = model_of(table)
+    grids = situations(model, grid, source_voltage)
+
+    def search(surrogate: Surrogate) -> Worst:
+        return worst_of_bank(surrogate, grids, least, margin)
+
+    if sweeps == 0:
+        found = predicted_worst(model, search)
+    else:
+        usable = [response for response in table.responses if response.usable.any()]
+        found = confirmed_worst(
+            usable,
+            model.region,
+            search,
+            sweeping(table.meta["configuration"], jobs),
+            bases=table.meta.get("bases"),
+            most=sweeps,
+            say=tell,
+        )
+    provenance: dict[str, Any] = {"table_sha256": table.meta["sha256"], "least": least}
+    return TuningResult(found.worst.situation.grid, margin, (found.tuning,), provenance), _told(found, len(grids))
+
+
+def _told(found: ConfirmedWorst, n_grids: int) -> str:
+    worst = found.worst
+    where = ", ".join(f"{value:.4g}" for value in worst.point)
+    over = worst.situation.name if n_grids == 1 else f"{worst.situation.name}, the worst of {n_grids} grids"
+    lines = [
+        f"worst operating point by {worst.least}: (P, Q, |v|) = ({where}) on {over}",
+        f"{worst.n_points} operating points were scanned.",
+        _swept(found),
+    ]
+    if found.open_m is None:
+        lines.append("At 95 % no other point of the region has an m that is lower by more than 0.5 %.")
+    else:
+        lines.append(f"At 95 % elsewhere m may be as low as {found.open_m:.4g}: sweep more before it decides anything.")
+    return "\n".join(lines)
+
+
+def _swept(found: ConfirmedWorst) -> str:
+    n = len(found.added)
+    if not found.swept:
+        return f"It is a prediction from {found.sweeps} sweeps: no sweep was made there."
+    predicted = "no crossing" if found.predicted_m is None else f"m = {found.predicted_m:.4g}"
+    return (
+        f"It was swept; predicted was {predicted}. The answer rests on {found.sweeps} sweeps, {n} of them made for it."
+    )

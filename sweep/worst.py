@@ -1,0 +1,204 @@
+"""The worst operating point, searched by a surrogate and confirmed by sweeps.
+
+The surrogate names a point; it is swept and joins the surrogate, and the search begins anew, until the swept margin is
+the predicted one and nothing that the surrogate's doubt leaves open is lower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..identify.response import FrequencyResponse
+from ..identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
+from ..plant.errors import SeqsweepError
+from ..tuning.region.worst import Worst
+from ..tuning.result import PointTuning
+from ..tuning.tune import tune_point
+from .config.sections import Config
+from .planning import make_plan
+from .run.campaign import sweep_in_memory
+from .run.host import plant_or_card
+
+MOST_SWEEPS = 4
+"""Sweeps spent on confirming."""
+
+AGREES = 0.005
+"""Relative difference of m at which prediction and sweep agree, and by which a point must be lower to be worse."""
+
+_BESIDE = 0.005  # parts of the region within which a point counts as swept
+
+Sweep = Callable[[np.ndarray], FrequencyResponse]
+"""Sweeps the device at an operating point (3,)."""
+
+
+class WorstError(SeqsweepError):
+    """A device that cannot be swept at its worst point, with the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfirmedWorst:
+    """The worst operating point, and what it rests on.
+
+    Attributes
+    ----------
+    worst : Worst
+        The last search.
+    tuning : PointTuning
+        Its judgement: by a sweep there, where it was swept.
+    swept : bool
+        Whether it was.
+    predicted_m : float or None
+        m as it was predicted before that sweep.
+    sweeps : int
+        Operating points that the answer rests on, those for confirming among them.
+    added : tuple of FrequencyResponse
+        Those for confirming.
+    open_m : float or None
+        The least m that the surrogate's doubt leaves open elsewhere, at 95 %; None where nothing is lower than the
+        answer by more than `AGREES`.
+    """
+
+    worst: Worst
+    tuning: PointTuning
+    swept: bool
+    predicted_m: float | None
+    sweeps: int
+    added: tuple[FrequencyResponse, ...]
+    open_m: float | None
+
+
+def predicted_worst(surrogate: Surrogate, search: Callable[[Surrogate], Worst]) -> ConfirmedWorst:
+    """The answer without any further sweep."""
+    worst = search(surrogate)
+    return ConfirmedWorst(
+        worst,
+        worst.tuning,
+        False,
+        worst.tuning.margin_m,
+        len(surrogate.points),
+        (),
+        _open_m(worst, surrogate.points, surrogate.region),
+    )
+
+
+def confirmed_worst(
+    responses: Sequence[FrequencyResponse],
+    region: Region,
+    search: Callable[[Surrogate], Worst],
+    sweep: Sweep,
+    *,
+    bases: Mapping[str, Any] | None = None,
+    most: int = MOST_SWEEPS,
+    say: Callable[[str], None] = lambda text: None,
+) -> ConfirmedWorst:
+    """Search, sweep the point found, and search again, until sweep and surrogate agree.
+
+    Parameters
+    ----------
+    responses : sequence of FrequencyResponse
+        Operating points swept so far.
+    region : Region
+        Where to search.
+    search : callable
+        The worst point of a surrogate, such as `worst_of_bank` on a bank of grids.
+    sweep : callable
+        Sweeps an operating point.
+    bases : mapping or None
+        The device's rating.
+    most : int
+        Sweeps that may be spent.
+    say : callable
+        Called with a line on every sweep.
+    """
+    known = list(responses)
+    worst = search(build_surrogate(known, region=region, bases=bases))
+    predicted = worst.tuning.margin_m
+    while len(known) - len(responses) < most:
+        at = _next(worst, _points_of(known), region)
+        if at is None:
+            break
+        predicted = worst.tuning.margin_m if at is worst.point else predicted
+        known.append(sweep(at))
+        worst = search(build_surrogate(known, region=region, bases=bases))
+        say(f"{len(known)} sweeps, the last at {name_of(at)}: m = {_number(worst.tuning.margin_m)} at the worst point")
+    own = _swept_there(worst, known, region)
+    tuning = worst.tuning if own is None else _judged(own, worst)
+    added = tuple(known[len(responses) :])
+    return ConfirmedWorst(
+        worst, tuning, own is not None, predicted, len(known), added, _open_m(worst, _points_of(known), region)
+    )
+
+
+def sweeping(configuration: Mapping[str, Any], jobs: int) -> Sweep:
+    """Sweeps operating points of the plant of a campaign, as it is written in a table's metadata.
+
+    Raises
+    ------
+    WorstError
+        If the table does not say which campaign it came from.
+    """
+    plain = dict(configuration)
+    if not {"campaign", "plant", "sweep"} <= set(plain):
+        raise WorstError("the table does not say which campaign it came from: its worst point is a prediction")
+    plain["sweep"] = {k: v for k, v in plain["sweep"].items() if k != "operating_points"}
+
+    def sweep(point: np.ndarray) -> FrequencyResponse:
+        entry = {"id": name_of(point), **dict(zip(AXES, map(float, point), strict=True))}
+        config = Config.from_dict({**plain, "operating_point": [entry]})
+        plant = plant_or_card(config)
+        plan = replace(make_plan(config, plant), adaptive=None)
+        swept = sweep_in_memory(plan, plant, jobs=jobs, backend="threading")
+        (response,), (facts,) = swept.responses(), swept.metadata()["operating_points"]
+        return replace(response, meta={**response.meta, **facts})
+
+    return sweep
+
+
+def _next(worst: Worst, swept: np.ndarray, region: Region) -> np.ndarray | None:
+    """The worst point if it is not swept yet, else the point that might be lower still; None where all is said."""
+    if _near(worst.point, swept, region) is None:
+        return worst.point
+    at = _lower_still(worst, swept, region)
+    return None if at is None else worst.low_points[at]
+
+
+def _lower_still(worst: Worst, swept: np.ndarray, region: Region) -> int | None:
+    """The least of the bounds below the answer that is not at a swept point."""
+    margin = worst.tuning.margin_m
+    limit = np.inf if margin is None else (1.0 - AGREES) * margin
+    open_ = (k for k in range(len(worst.lows)) if worst.lows[k] < limit)
+    return next((k for k in open_ if _near(worst.low_points[k], swept, region) is None), None)
+
+
+def _open_m(worst: Worst, swept: np.ndarray, region: Region) -> float | None:
+    at = _lower_still(worst, swept, region)
+    return None if at is None else float(worst.lows[at])
+
+
+def _points_of(known: Sequence[FrequencyResponse]) -> np.ndarray:
+    return np.array([[float(r.meta.get(axis) or 0.0) for axis in AXES] for r in known])
+
+
+def _swept_there(worst: Worst, known: Sequence[FrequencyResponse], region: Region) -> FrequencyResponse | None:
+    at = _near(worst.point, _points_of(known), region)
+    return None if at is None else known[at]
+
+
+def _near(point: np.ndarray, swept: np.ndarray, region: Region) -> int | None:
+    """Index of a swept point that is as good as ``point``."""
+    axes = np.flatnonzero(region.varies)
+    apart = np.abs(swept - point)[:, axes] / (region.high - region.low)[axes]
+    nearest = int(apart.max(axis=1).argmin())
+    return nearest if apart[nearest].max() <= _BESIDE else None
+
+
+def _judged(response: FrequencyResponse, worst: Worst) -> PointTuning:
+    return tune_point(response, worst.situation.grid)
+
+
+def _number(m: float | None) -> str:
+    return "none" if m is None else f"{m:.4g}"
