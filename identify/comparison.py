@@ -22,6 +22,9 @@ SURE = 0.01
 SAME = 1e-6
 """Frequencies closer than this, relatively, are one."""
 
+_QUANTILE = 15.507313
+"""95 % quantile of chi-squared with eight degrees of freedom."""
+
 _BANDS_HZ = (0.0, 1.0, 10.0, 50.0, 100.0, 1000.0, np.inf)
 
 
@@ -72,8 +75,15 @@ class Comparison:
         ||dY||_F / ||Y||_F.
     interpolated : (n,) bool
         Rows that the second table does not have.
+    region : (n,) float
+        Radius of the 95 % region of the difference, relative to ||Y||_F, as both tables state their errors; NaN where
+        one does not.
+    y_a, y_b : (n, 2, 2) complex
+        What was compared (S).
     bands : tuple of Band
         By frequency.
+    tolerance : float
+        Relative difference up to which two rows are the same.
     """
 
     op_a: str
@@ -81,7 +91,11 @@ class Comparison:
     f_hz: np.ndarray
     relative: np.ndarray
     interpolated: np.ndarray
+    region: np.ndarray
+    y_a: np.ndarray
+    y_b: np.ndarray
     bands: tuple[Band, ...]
+    tolerance: float
 
     @property
     def agrees(self) -> bool:
@@ -122,11 +136,23 @@ def compare(a: FrequencyResponse, b: FrequencyResponse, tolerance: float = 1e-4)
     difference = a.y[rows] - y_b
     size = np.linalg.norm(y_b, axis=(1, 2))
     relative = np.linalg.norm(difference, axis=(1, 2)) / size
-    chi = _chi_squared(difference, np.asarray(a.covariance)[rows] + cov_b)
+    covariance = np.asarray(a.covariance)[rows] + cov_b
+    chi = _chi_squared(difference, covariance)
     bands = tuple(
         _band(f[at], a.y[rows][at], y_b[at], relative[at], chi[at], tolerance) for at in _in_bands(f) if np.any(at)
     )
-    return Comparison(str(a.meta.get("op_id")), str(b.meta.get("op_id")), f, relative, interpolated, bands)
+    return Comparison(
+        op_a=str(a.meta.get("op_id")),
+        op_b=str(b.meta.get("op_id")),
+        f_hz=f,
+        relative=relative,
+        interpolated=interpolated,
+        region=np.sqrt(_QUANTILE * np.trace(covariance, axis1=1, axis2=2) / 8.0) / size,
+        y_a=a.y[rows],
+        y_b=y_b,
+        bands=bands,
+        tolerance=tolerance,
+    )
 
 
 def _at(b: FrequencyResponse, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

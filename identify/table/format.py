@@ -39,7 +39,7 @@ _POINT = {"op_id", "active_power_mw", "terminal_voltage_pu"}
 CARRIED = ("stable_on", "fundamental")
 """Facts of an operating point that a response may carry in its ``meta``."""
 
-_OPTIONAL = {*_FIXED, "configuration_sha256", "tool", "seeds", "region", "surrogate", "sha256"}
+_OPTIONAL = {*_FIXED, "configuration_sha256", "tool", "seeds", "region", "surrogate", "merged_from", "sha256"}
 
 
 class TableError(SeqsweepError):

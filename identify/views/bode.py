@@ -5,7 +5,8 @@ Panels stand as the elements stand in the matrix. matplotlib is imported when a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,23 +19,22 @@ from ..response import FrequencyResponse
 from ..table.format import TableError
 from ..table.read import iter_responses, read_metadata
 from ..uncertainty import NORMAL_95
+from .asked import Look, as_asked
 from .style import COLOURS, DASHES, WARNING, escaped, grid_lines, new_figure, opened_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+PLAIN = Look()
+"""Admittance in pn, logarithmic."""
+
 MAX_OVERLAID = 6
 HEIGHT_IN = 7.0
 
 _TITLES = ("$Y_{pp}$", "$Y_{pn}$", "$Y_{np}$", "$Y_{nn}$")
 _TITLES_DQ = ("$Y_{dd}$", "$Y_{dq}$", "$Y_{qd}$", "$Y_{qq}$")
-_MEANINGS = (
-    r"$I(f)$ per $V(f)$",
-    r"$I(f)$ per conj $V(2f_1{-}f)$",
-    r"conj $I(2f_1{-}f)$ per $V(f)$",
-    r"conj $I(2f_1{-}f)$ per conj $V(2f_1{-}f)$",
-)
+_COMPONENTS = ("{0}(f)$", "conj ${0}(2f_1{{-}}f)$")
 _DOUBTFUL: dict[str, Any] = {"linestyle": "none", "color": WARNING, "marker": "x", "markersize": 5}
 _NOTHING: dict[str, Any] = {"linestyle": "none", "color": WARNING, "marker": "|", "markersize": 6}
 
@@ -48,9 +48,12 @@ class _Curve(NamedTuple):
 
 
 def bode(
-    table: str | Path | FrequencyResponse | Sequence[FrequencyResponse], path: str | Path, op_id: str | None = None
+    table: str | Path | FrequencyResponse | Sequence[FrequencyResponse],
+    path: str | Path,
+    op_id: str | None = None,
+    look: Look = PLAIN,
 ) -> tuple[str, ...]:
-    """Draw magnitude and phase of Ypp, Ypn, Ynp and Ynn over f, to a file.
+    """Draw magnitude and phase of the four elements over f, to a file.
 
     Parameters
     ----------
@@ -61,6 +64,8 @@ def bode(
     op_id : str, optional
         The operating point to draw. Without it up to `MAX_OVERLAID` are laid over each other; of
         more than that the first one is drawn.
+    look : Look
+        Admittance or impedance, pn or dq, and the axes.
 
     Returns
     -------
@@ -75,14 +80,15 @@ def bode(
         If the file is not a readable table, or has no such operating point; nothing is written.
     """
     meta, responses, total = _chosen(table, op_id)
-    write_figure(path, lambda: bode_figure(responses, _title(meta, responses, total)))
+    shown = [as_asked(response, look) for response in responses]
+    write_figure(path, lambda: bode_figure(shown, _title(meta, responses, total), look))
     return tuple(str(response.meta["op_id"]) for response in responses)
 
 
-def bode_figure(responses: Sequence[FrequencyResponse], title: str = "") -> Figure:
-    """The figure that `bode` writes."""
+def bode_figure(responses: Sequence[FrequencyResponse], title: str = "", look: Look = PLAIN) -> Figure:
+    """The figure that `bode` writes, of responses that are as ``look`` asks."""
     figure = new_figure(HEIGHT_IN)
-    draw_bode(panels(figure), responses)
+    draw_bode(panels(figure), responses, look)
     figure.suptitle(title, fontsize=10)
     return figure
 
@@ -92,27 +98,29 @@ def panels(figure: Figure) -> np.ndarray:
     return np.asarray(figure.subplots(4, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]}))
 
 
-def draw_bode(axes: np.ndarray, responses: Sequence[FrequencyResponse]) -> None:
+def draw_bode(axes: np.ndarray, responses: Sequence[FrequencyResponse], look: Look = PLAIN) -> None:
     """Draw magnitude and phase of every response into axes (4, 2), and the legend into their figure.
 
     Raises
     ------
     SeqsweepError
-        If a response is not in the pn frame.
+        If a response is not in the frame of the look.
     """
-    if wrong := next((response.frame for response in responses if response.frame != "pn"), None):
-        raise SeqsweepError(f"the plot shows the pn frame, a response is in {wrong!r}: convert it first")
+    needed = "dq" if look.dq else "pn"
+    if wrong := next((response.frame for response in responses if response.frame != needed), None):
+        raise SeqsweepError(f"the plot shows the {needed} frame, a response is in {wrong!r}: convert it first")
     curves = [_Curve(_label(r), r, c, d, _certified(r)) for r, c, d in zip(responses, COLOURS, DASHES, strict=False)]
     for element in range(4):
         row, column = divmod(element, 2)
-        _draw_element(axes[2 * row, column], axes[2 * row + 1, column], curves, element)
+        _draw_element(axes[2 * row, column], axes[2 * row + 1, column], curves, element, look)
     for column in range(2):
-        _mirror_axis(axes[0, column], responses)
-        axes[3, column].set_xlabel("f (Hz)")
+        if not look.dq and look.axes != "linear":
+            _mirror_axis(axes[0, column], responses)
+        axes[3, column].set_xlabel(r"$|f - f_1|$ (Hz)" if look.dq else "f (Hz)")
         axes[3, column].xaxis.set_major_formatter(lambda f, _: f"{f:g}")
-    _same_scale([axes[row, column] for row in (0, 2) for column in (0, 1)], responses)
+    _same_scale([axes[row, column] for row in (0, 2) for column in (0, 1)], responses, look)
     for row in range(4):
-        axes[row, 0].set_ylabel("Phase (deg)" if row % 2 else "Magnitude (S)")
+        axes[row, 0].set_ylabel("Phase (deg)" if row % 2 else _magnitude_label(look))
     _legend(axes[0, 0].figure, curves)
 
 
@@ -187,20 +195,52 @@ def _label(response: FrequencyResponse) -> str:
     return f"{name}: {', '.join(values)}" if values else name
 
 
-def _draw_element(magnitude: Axes, phase: Axes, curves: Sequence[_Curve], element: int) -> None:
-    magnitude.set_xscale("log")
-    magnitude.set_yscale("log")
+def _magnitude_label(look: Look) -> str:
+    return f"Magnitude (dB re 1 {look.unit})" if look.axes == "db" else f"Magnitude ({look.unit})"
+
+
+def _draw_element(magnitude: Axes, phase: Axes, curves: Sequence[_Curve], element: int, look: Look) -> None:
+    magnitude.set_xscale("linear" if look.axes == "linear" else "log")
+    magnitude.set_yscale("log" if look.axes == "log" else "linear")
     for curve in curves:
-        _draw_curve(magnitude, phase, curve, element, dotted=len(curves) == 1 and len(curve.response) <= 200)
-    magnitude.set_title(f"{_TITLES[element]}: {_MEANINGS[element]}", fontsize=9)
+        dotted = len(curves) == 1 and len(curve.response) <= 200
+        _draw_curve(magnitude, phase, curve, element, dotted, _SHOWN[look.axes])
+    magnitude.set_title(_element_title(element, look), fontsize=9)
     phase.set_ylim(-190.0, 190.0)
     phase.set_yticks([-180, -90, 0, 90, 180])
     for axes in (magnitude, phase):
         grid_lines(axes)
-        _mark_fundamental(axes, curves, named=axes is magnitude)
+        if not look.dq:
+            _mark_fundamental(axes, curves, named=axes is magnitude)
 
 
-def _draw_curve(magnitude: Axes, phase: Axes, curve: _Curve, element: int, dotted: bool) -> None:
+def _element_title(element: int, look: Look) -> str:
+    """The element, and in pn what it is: a current per voltage, or a voltage per current."""
+    name = f"${look.symbol}_{{{look.elements[element]}}}$"
+    if look.dq:
+        return name
+    row, column = divmod(element, 2)
+    above, below = ("V", "I") if look.impedance else ("I", "V")
+    parts = [("$" if k == 0 else "") + _COMPONENTS[k].format(letter) for k, letter in ((row, above), (column, below))]
+    return f"{name}: {parts[0]} per {parts[1]}"
+
+
+def _decibels(size: np.ndarray) -> np.ndarray:
+    return 20.0 * np.log10(size)
+
+
+_SHOWN: dict[str, Callable[[np.ndarray], np.ndarray]] = {"log": np.asarray, "linear": np.asarray, "db": _decibels}
+"""From a magnitude to what is drawn of it."""
+
+
+def _draw_curve(
+    magnitude: Axes,
+    phase: Axes,
+    curve: _Curve,
+    element: int,
+    dotted: bool,
+    drawn: Callable[[np.ndarray], np.ndarray],
+) -> None:
     """Rows, their 95 % intervals, and between them the certified interpolation where there is one."""
     response = curve.response
     f = np.asarray(response.f_hz)
@@ -212,16 +252,16 @@ def _draw_curve(magnitude: Axes, phase: Axes, curve: _Curve, element: int, dotte
     line: dict[str, Any] = {"color": curve.colour, "linestyle": curve.dashes}
     fine_f, fine_y = _between(curve, element)
     fine_y = np.where(fine_y == 0.0, complex(np.nan, np.nan), fine_y)
-    magnitude.plot(fine_f, np.abs(fine_y), **line)
+    magnitude.plot(fine_f, drawn(np.abs(fine_y)), **line)
     phase.plot(*_without_streaks(fine_f, np.degrees(np.angle(fine_y))), **line)
     if dotted or _interpolated(response):
         dots: dict[str, Any] = {"color": curve.colour, "linestyle": "none", "marker": ".", "markersize": 3.5}
-        magnitude.plot(f, size, **dots)
+        magnitude.plot(f, drawn(size), **dots)
         phase.plot(f, angle, **dots)
     low = np.maximum(size - of_size, 1e-6 * size)
-    magnitude.fill_between(f, low, size + of_size, color=curve.colour, alpha=0.22, linewidth=0.0)
+    magnitude.fill_between(f, drawn(low), drawn(size + of_size), color=curve.colour, alpha=0.22, linewidth=0.0)
     phase.errorbar(f, angle, yerr=of_angle, fmt="none", ecolor=curve.colour, elinewidth=0.6, alpha=0.5)
-    _draw_not_ok(magnitude, phase, response, y)
+    _draw_not_ok(magnitude, phase, response, y, drawn)
 
 
 def _half_intervals(response: FrequencyResponse, element: int) -> tuple[np.ndarray, np.ndarray]:
@@ -267,25 +307,39 @@ def _certified(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray] | N
     return fine, y
 
 
-def _draw_not_ok(magnitude: Axes, phase: Axes, response: FrequencyResponse, y: np.ndarray) -> None:
+def _draw_not_ok(
+    magnitude: Axes,
+    phase: Axes,
+    response: FrequencyResponse,
+    y: np.ndarray,
+    drawn: Callable[[np.ndarray], np.ndarray],
+) -> None:
     """Crosses where a value is there but not ok, ticks on the frequency axis where there is none."""
     f = np.asarray(response.f_hz)
     doubtful = ~response.ok & np.isfinite(y)
     nothing = ~response.ok & ~np.isfinite(y)
-    magnitude.plot(f[doubtful], np.abs(y[doubtful]), **_DOUBTFUL)
+    magnitude.plot(f[doubtful], drawn(np.abs(y[doubtful])), **_DOUBTFUL)
     phase.plot(f[doubtful], np.degrees(np.angle(y[doubtful])), **_DOUBTFUL)
     for axes in (magnitude, phase):
         floor = np.full(nothing.sum(), 0.03)
         axes.plot(f[nothing], floor, transform=axes.get_xaxis_transform(), **_NOTHING)
 
 
-def _same_scale(magnitudes: Sequence[Axes], responses: Sequence[FrequencyResponse]) -> None:
+def _same_scale(magnitudes: Sequence[Axes], responses: Sequence[FrequencyResponse], look: Look) -> None:
     """One range for all four elements, so that coupling shows at a glance; values decide it, not bands."""
     sizes = np.concatenate([np.abs(np.asarray(response.y)).ravel() for response in responses])
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
     if len(sizes):
         for axes in magnitudes:
-            axes.set_ylim(sizes.min() / 2.0, sizes.max() * 2.0)
+            axes.set_ylim(*_RANGES[look.axes](float(sizes.min()), float(sizes.max())))
+
+
+_RANGES: dict[str, Callable[[float, float], tuple[float, float]]] = {
+    "log": lambda low, high: (low / 2.0, high * 2.0),
+    "db": lambda low, high: (20.0 * math.log10(low) - 6.0, 20.0 * math.log10(high) + 6.0),
+    "linear": lambda low, high: (0.0, 1.05 * high),
+}
+"""Range of the axis of magnitudes from the least and the largest one."""
 
 
 def _without_streaks(f: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

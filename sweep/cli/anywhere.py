@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .say import tell
 from .shared import WrongInput
+from .telling import remark
 
 if TYPE_CHECKING:
     from ...identify.surrogate.surrogate import Surrogate
@@ -97,7 +97,7 @@ def on_grid(table: Table, power: Sequence[str] | None, grid: Grid, source_voltag
     if not responses:
         raise lost[0]
     for error in lost:
-        tell(str(error))
+        remark(str(error))
     return replace(table, responses=tuple(responses), meta={**table.meta, "operating_points": []})
 
 
@@ -142,7 +142,7 @@ def tune_worst(
             sweeping(table.meta["configuration"], jobs),
             bases=table.meta.get("bases"),
             most=sweeps,
-            say=tell,
+            say=remark,
         )
     provenance: dict[str, Any] = {"table_sha256": table.meta["sha256"], "least": least}
     return TuningResult(found.worst.situation.grid, margin, (found.tuning,), provenance), _told(found, len(grids))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .anywhere import Power, SourceVoltage, check_unasked, is_surrogate, model_of, powers_of
-from .say import columns, say, tell
 from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
+from .telling import columns, remark, result
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,6 +53,7 @@ def judge(
     from ..bank.following import Following
     from ..bank.judge import judge_bank
     from ..bank.report import report_text
+    from ..bank.table import row_of
     from .decide import as_told
 
     check_outputs(output, force, plot, ".parquet")
@@ -68,8 +68,8 @@ def judge(
         check_unasked(content, power, source_voltage)
     bank = read_bank(grids, table)
     entries = bank.entries
-    for remark in bank.remarks:
-        tell(remark)
+    for text in bank.remarks:
+        remark(text)
     check_single(bank, content.meta["f1_hz"])
     digest = f"{content.meta['sha256']} {stable_on} {exclude} {names} {source_voltage}"
     verdicts = judge_bank(
@@ -84,7 +84,7 @@ def judge(
         report=_progress(),
     )
     f1_hz = content.meta["f1_hz"]
-    say(report_text(verdicts, f1_hz, columns()))
+    result(lambda: report_text(verdicts, f1_hz, columns()), lambda: [row_of(verdict, f1_hz) for verdict in verdicts])
     if output is not None:
         from ..bank.table import write_judge
         from ..run import shards
@@ -110,10 +110,10 @@ def _progress() -> Callable[[int, int], None]:
         if first < 0:
             first = done
             if done:
-                print(f"{done}/{total} pairs are kept from before", file=sys.stderr, flush=True)
+                remark(f"{done}/{total} pairs are kept from before")
         if now - last >= LINE_S and done > first:
             left = (now - begin) / (done - first) * (total - done)
-            print(f"{done}/{total} pairs, about {left:.0f} s left", file=sys.stderr, flush=True)
+            remark(f"{done}/{total} pairs, about {left:.0f} s left")
             last = now
 
     return report

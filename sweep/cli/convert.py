@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from .farm import library_beside, read_document
-from .say import tell
 from .shared import Force, WrongInput, check_new
+from .telling import is_json, remark, result
 
 
 def convert(
@@ -39,9 +39,11 @@ def convert(
 
     with atomic_file(output) as file:
         file.write(text.encode())
-    for remark in remarks:
-        tell(f"remark: {remark}")
-    tell(f"{output} written")
+    for told in remarks:
+        remark(f"remark: {told}")
+    remark(f"{output} written")
+    if is_json():
+        result("", lambda: {"output": output, "remarks": remarks})
 
 
 def _network(

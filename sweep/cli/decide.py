@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from .anywhere import Power, SourceVoltage, check_unasked, is_surrogate, on_grid, tune_worst
-from .say import columns, say, tell
 from .shared import (
     NOT_ALL_OK,
     CampaignFile,
@@ -24,6 +23,7 @@ from .shared import (
     check_outputs,
     planned_of,
 )
+from .telling import columns, remark, result
 
 if TYPE_CHECKING:
     from ...identify.table.read import Table
@@ -65,7 +65,7 @@ def tune(
     """Is it stable on this grid, with what margin, and which k makes it so? Reads the table alone."""
     from ...identify.table.read import read_table
     from ...tuning.grids.open import open_grid
-    from ...tuning.result import write_json
+    from ...tuning.result import to_json, write_json
     from ...tuning.text import format_table
     from ...tuning.tune import tune as judge
 
@@ -74,29 +74,27 @@ def tune(
     content = as_told(read_table(table), stable_on, exclude or ())
     told = ""
     if worst:
-        result, told = tune_worst(content, grid, _least(least), margin, source_voltage, sweeps, jobs)
+        found, told = tune_worst(content, grid, _least(least), margin, source_voltage, sweeps, jobs)
     else:
         on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
         if is_surrogate(content) and on != "own":
             content = on_grid(content, power, on, source_voltage)
         else:
             check_unasked(content, power, source_voltage)
-        result = judge(content, on, margin=margin, op_ids=op, scales=scales)
+        found = judge(content, on, margin=margin, op_ids=op, scales=scales)
     if confirm:
         from ..confirm import confirm as confirm_gain
 
-        result = confirm_gain(result, content.meta["configuration"], jobs=jobs, report=tell)
-    say(format_table(result, columns()))
-    if told:
-        say(told)
+        found = confirm_gain(found, content.meta["configuration"], jobs=jobs, report=remark)
+    result(lambda: "\n".join(filter(None, [format_table(found, columns()), told])), lambda: to_json(found))
     if output is not None:
-        write_json(result, output)
-    if plot is not None and result.worst_fitted is None:
-        tell(f"{plot}: not drawn, for no operating point has a fit")
+        write_json(found, output)
+    if plot is not None and found.worst_fitted is None:
+        remark(f"{plot}: not drawn, for no operating point has a fit")
     elif plot is not None:
         from ...tuning.figures import plot_result
 
-        plot_result(result, plot)
+        plot_result(found, plot)
 
 
 def _least(text: str) -> Least:
@@ -147,9 +145,11 @@ def verify(
 ) -> None:
     """The same device in time, with and without damping control."""
     from ..verify.job import VerifyJob, verified
+    from ..verify.report import format_report, to_json
 
     check_outputs(output, force, plot, ".json")
-    say(verified(VerifyJob(tuning, table, op, scale, scenario, output, plot, columns())))
+    found = verified(VerifyJob(tuning, table, op, scale, scenario, output, plot))
+    result(lambda: format_report(found, columns()), lambda: to_json(found))
 
 
 def grid(
@@ -171,7 +171,7 @@ def grid(
     planned, plant = planned_of(campaign, settings)
     probe = make_probe(signal_kind, plant, amplitude_pu, duration_s)
     seen = probe_hosted(host_at_hand(plant, planned.hosting), planned, probe, op)
-    say(format_report(seen, probe, plant.f1_hz))
+    result(lambda: format_report(seen, probe, plant.f1_hz), lambda: to_json(seen, probe, planned))
     if output is not None:
         write_json(to_json(seen, probe, planned), output)
     if plot is not None and any(each.found for each in seen):

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .say import say, tell
 from .shared import Force, WrongInput, check_new, check_outputs, check_plot, check_suffix
+from .telling import remark, result
 
 if TYPE_CHECKING:
     from ...tuning.farm.farm import Farm
@@ -74,11 +74,9 @@ def farm(
         return _all_states(document, out or [], margin, output, plot)
     _check_demand(damping, probability, by)
     library, found = _judged(document, out or [])
-    say(text_of(found))
     demand = _demand(damping, probability, found)
     advice = [_advice(lever, library, found, demand, jobs) for lever in by or []]
-    for one in advice:
-        say(f"\n{advice_text(one)}")
+    result(lambda: "\n\n".join([text_of(found), *map(advice_text, advice)]), lambda: to_json(found, advice))
     if output is not None:
         write_json(output, to_json(found, advice))
     if table is not None:
@@ -119,8 +117,8 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
     if not margin > 0.0:
         raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
     content = read_document(document)
-    found = judge_states(content, library_beside(document), out, margin, tell)
-    say(states_text(found))
+    found = judge_states(content, library_beside(document), out, margin, remark)
+    result(lambda: states_text(found), lambda: states_json(str(content.get("name", "farm")), found))
     if output is not None:
         write_json(output, states_json(str(content.get("name", "farm")), found))
     if plot is not None:
@@ -148,8 +146,8 @@ def _advice(lever: Lever, library: Library, found: Farm, demand: Demand | None, 
     from ..farm_sweeps import gain_advice, power_advice
 
     if lever == Lever.power:
-        return power_advice(library, found, demand, tell)
-    return gain_advice(library, found, demand, jobs or os.cpu_count() or 1, tell)
+        return power_advice(library, found, demand, remark)
+    return gain_advice(library, found, demand, jobs or os.cpu_count() or 1, remark)
 
 
 def read_document(document: Path) -> dict[str, Any]:
@@ -189,4 +187,4 @@ def _write_table(found: Farm, table: Path, document: Path) -> None:
         "plant": {"id": "farm", "devices": [unit.key for unit in found.units]},
     }
     write_table(table, [response], meta)
-    tell(f"{table}: the farm at {found.entry.source_bus}")
+    remark(f"{table}: the farm at {found.entry.source_bus}")

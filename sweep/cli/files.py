@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from .say import say, tell
 from .shared import (
     NOT_ALL_OK,
     CampaignFile,
@@ -22,6 +21,7 @@ from .shared import (
     check_suffix,
     report_statuses,
 )
+from .telling import remark, result
 
 
 def identify(
@@ -49,7 +49,7 @@ def identify(
     check_suffix(output, ".parquet")
     rating, units = (rated_voltage_v, rated_power_va), (voltage_unit, current_unit)
     request = request_of(files, manifest, channels, direction, f1, sample_rate, rating, op, stable_on, units)
-    outcome = identify_recordings(request, output, jobs=jobs, say=tell)
+    outcome = identify_recordings(request, output, jobs=jobs, say=remark)
     report_statuses(output, outcome.statuses)
     if not outcome.all_ok:
         raise typer.Exit(NOT_ALL_OK)
@@ -73,7 +73,8 @@ def export_command(
         raise WrongInput(f"--z0 {z0:g}: needed: a number above 0, in ohm")
     found = format_of(output, kind)
     check_new(output, force)
-    say(export_table(table, output, found, op, frame, z0))  # type: ignore[arg-type]
+    said = export_table(table, output, found, op, frame, z0)  # type: ignore[arg-type]
+    result(said, lambda: {"output": output, "format": found, "text": said})
 
 
 def import_command(
@@ -122,7 +123,8 @@ def import_command(
     found = format_of(file, kind, reading=True)
     check_new(output, force)
     check_suffix(output, ".parquet")
-    say(import_file(file, output, found, given))
+    said = import_file(file, output, found, given)
+    result(said, lambda: {"output": output, "format": found, "text": said})
 
 
 def inject_command(
@@ -130,7 +132,7 @@ def inject_command(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="A folder, made if it is not there.")],
     kind: Annotated[str, typer.Option("--format", help="csv, comtrade, pscad or mat.")],
     rate: Annotated[float, typer.Option(metavar="HZ", help="Sample rate of the files.")] = 10_000.0,
-    quiet: Annotated[float, typer.Option(metavar="S", help="Silence at the start of a file.")] = 1.0,
+    silence: Annotated[float, typer.Option(metavar="S", help="Silence at the start of a file.")] = 1.0,
     settle: Annotated[float, typer.Option(metavar="S", help="Tones play so long before they are evaluated.")] = 1.0,
     windows: Annotated[int, typer.Option(metavar="N", help="Coherent windows of an experiment.")] = 2,
     longest: Annotated[float, typer.Option(metavar="S", help="Longest file; 0: one pair per file.")] = 60.0,
@@ -149,7 +151,7 @@ def inject_command(
         raise WrongInput(f"--format {kind!r}: known are {', '.join(SUFFIXES)}")
     if encoding not in ("ASCII", "BINARY", "BINARY32", "FLOAT32"):
         raise WrongInput(f"--encoding {encoding!r}: known are ASCII, BINARY, BINARY32 and FLOAT32")
-    timing = Timing(rate, quiet, settle, windows, longest)
+    timing = Timing(rate, silence, settle, windows, longest)
     plan, plant = planned(load_config(campaign, settings or ()), timing)
     condition = chosen(plan, op)
     if output.exists() and not output.is_dir():
@@ -158,12 +160,14 @@ def inject_command(
         raise WrongInput(f"{output / FILE_NAME} exists; --force writes over it")
     check_folder(output)
     for warning in plan.warnings:
-        tell(f"warning: {warning}")
+        remark(f"warning: {warning}")
     output.mkdir(exist_ok=True)
     written = inject(plan, plant, condition, output, kind, timing, encoding)  # type: ignore[arg-type]
     ends = {experiment.file: experiment.end_s for experiment in written.experiments}
     files = f"{len(ends)} file{'s' if len(ends) > 1 else ''}"
-    say(
-        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {files}, "
-        f"{sum(ends.values()):.1f} s at {rate:g} Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}"
+    seconds = sum(ends.values())
+    result(
+        f"{output}: {condition.op_id}, {len(written.experiments)} experiments in {files}, {seconds:.1f} s at {rate:g} "
+        f"Hz; next: docs/inject.md, then seqsweep identify with {FILE_NAME}",
+        lambda: {"output": output, "op_id": condition.op_id, "files": sorted(ends), "seconds": seconds},
     )

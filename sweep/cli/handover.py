@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .say import tell
 from .shared import Force, WrongInput, check_new
+from .telling import is_json, remark, result
 
 
 def report(
@@ -45,12 +45,16 @@ def report(
     text = page(content, stamped, profiles)
     with atomic_file(output) as file:
         file.write(text.encode())
-    tell(f"{output}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser")
+    written = {"report": output, "bytes": len(text.encode())}
+    remark(f"{output}: {written['bytes'] / 1e3:.0f} kB; open it in a browser")
     if printer is not None:
         content_of_paper = printed(page(content, stamped, profiles, printing=True), printer)
         with atomic_file(paper) as file:
             file.write(content_of_paper)
-        tell(f"{paper}: {len(content_of_paper) / 1e3:.0f} kB")
+        written |= {"pdf": paper, "pdf_bytes": len(content_of_paper)}
+        remark(f"{paper}: {len(content_of_paper) / 1e3:.0f} kB")
+    if is_json():
+        result("", lambda: written)
 
 
 def _check_output(output: Path, paper: Path | None, force: bool) -> None:

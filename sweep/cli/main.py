@@ -14,26 +14,18 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
 
 from ...plant.errors import SeqsweepError
-from . import bank as cli_bank
-from . import compare as cli_compare
-from . import convert as cli_convert
-from . import decide as cli_decide
-from . import farm as cli_farm
 from . import faults
-from . import files as cli_files
-from . import handover as cli_handover
-from . import metrics as cli_metrics
-from . import region as cli_region
-from . import sweep as cli_sweep
+from .commands import COMMANDS, epilog_of, meant_by
 from .say import say, tell
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
+from .telling import speaking
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 """`ClickException`: newer versions of typer bring a click of their own, older ones import it."""
@@ -51,29 +43,6 @@ _PROGRAM: dict[str, Any] = {
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 GO_ON = "run the same command again to go on"
-
-_COMMANDS: dict[str, Callable[..., None]] = {
-    "init": cli_sweep.init,
-    "plan": cli_sweep.plan,
-    "run": cli_sweep.run,
-    "show": cli_sweep.show,
-    "validate": cli_sweep.validate,
-    "tune": cli_decide.tune,
-    "judge": cli_bank.judge,
-    "verify": cli_decide.verify,
-    "grid": cli_decide.grid,
-    "surrogate": cli_region.surrogate,
-    "farm": cli_farm.farm,
-    "convert": cli_convert.convert,
-    "report": cli_handover.report,
-    "compare": cli_compare.compare,
-    "metrics": cli_metrics.metrics,
-    "check": cli_sweep.check,
-    "identify": cli_files.identify,
-    "inject": cli_files.inject_command,
-    "export": cli_files.export_command,
-    "import": cli_files.import_command,
-}
 
 
 def _version(
@@ -95,11 +64,15 @@ def _program(names: Iterable[str]) -> typer.Typer:
     program = typer.Typer(**_PROGRAM)
     program.callback(invoke_without_command=True)(_version)
     for name in names:
-        program.command(name)(_COMMANDS[name])
+        program.command(name, epilog=epilog_of(COMMANDS[name]))(speaking(COMMANDS[name].run))
     return program
 
 
-app = _program(_COMMANDS)
+def __getattr__(name: str) -> typer.Typer:
+    """``app``, the whole command line: made where it is asked for."""
+    if name == "app":
+        return _program(COMMANDS)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def main() -> None:
@@ -131,7 +104,7 @@ def _status() -> int:
     with suppress(ValueError):  # only the main thread can be told
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout`, Slurm, docker stop: as Ctrl-C
     try:
-        result = _asked(arguments)(arguments, standalone_mode=False)
+        result = _asked(arguments)(arguments, prog_name="seqsweep", standalone_mode=False)
     except _USAGE_ERROR as error:
         if meant := _meant(arguments):
             tell(f"no command is called so; did you mean: seqsweep {meant}")
@@ -165,35 +138,13 @@ def _status() -> int:
 
 def _asked(arguments: Sequence[str]) -> typer.Typer:
     """The one command that is asked: to prepare all of them takes as long as to import numpy."""
-    return _program(arguments[:1]) if arguments and arguments[0] in _COMMANDS else app
-
-
-_SYNONYMS = {
-    "sweep": "run",
-    "scan": "run",
-    "start": "run",
-    "plot": "show",
-    "bode": "show",
-    "info": "show",
-    "diff": "compare",
-    "stability": "tune",
-    "judgement": "judge",
-    "simulate": "verify",
-    "convert": "export",
-    "read": "import",
-    "record": "identify",
-    "new": "init",
-    "create": "init",
-}
-"""What people type, and the command they mean."""
+    return _program(arguments[:1] if arguments and arguments[0] in COMMANDS else COMMANDS)
 
 
 def _meant(arguments: Sequence[str]) -> str | None:
     """The command that a first word from elsewhere stands for; None where it is a command, or no word of the list."""
     word = next((argument for argument in arguments if not argument.startswith("-")), "")
-    if word in _COMMANDS:
-        return None
-    return _SYNONYMS.get(word.lower())
+    return None if word in COMMANDS else meant_by(word)
 
 
 def _in_words(error: OSError) -> str:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .say import columns, say
 from .shared import Force, TableFile, check_outputs
+from .telling import columns, result
 
 if TYPE_CHECKING:
     from ...identify.table.read import Table
@@ -30,12 +30,12 @@ def metrics(
 ) -> None:
     """How P and Q answer to the grid: Jacobian, frequency perturbation, swing fit, stiffness, passivity."""
     from ...identify.table.read import read_table
-    from ...tuning.metrics_report import format_report, write_json
+    from ...tuning.metrics_report import format_report, to_json, write_json
 
     check_outputs(output, force, plot, ".json")
     content = read_table(table)
     found = _of_table(content, behind, op)
-    say("\n\n".join(format_report(each, columns()) for each in found))
+    result(lambda: "\n\n".join(format_report(each, columns()) for each in found), lambda: to_json(found, content.meta))
     if output is not None:
         write_json(found, content.meta, output)
     if plot is not None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
 
 from ...plant.protocol import NotSettled, Plant
 from ...plant.registry import PlantCard
@@ -20,6 +22,32 @@ def plan_text(plan: Plan, plant: Plant | PlantCard, jobs: int) -> str:
     return "\n".join(
         [*_shots(plan), *_further_rounds(plan), "", *_conditions(plan, plant), "", *_totals(plan, plant, jobs)]
     )
+
+
+def plan_values(plan: Plan, plant: Plant | PlantCard, jobs: int) -> dict[str, Any]:
+    """The same as plain values for other programs; the wall time is None where the plant cannot say."""
+    wall: float | None
+    try:
+        wall = wall_time_s(plan, plant, jobs)
+    except (NotSettled, ChildFailed):
+        wall = None
+    return {
+        "points": [
+            {
+                "f_hz": point.f_hz,
+                "injected_hz": [point.f_hz, 2.0 * plan.f1_hz - point.f_hz],
+                "periods": point.n_periods,
+                "window_s": point.window_blocks * plan.block.duration_s,
+            }
+            for point in plan.points
+        ],
+        "operating_points": [asdict(condition) for condition in plan.conditions],
+        "shots": plan.n_shots,
+        "amplitude_pu": plan.amplitude_pu,
+        "simulated_s": plan.simulated_s,
+        "workers": jobs,
+        "wall_s": wall,
+    }
 
 
 def _shots(plan: Plan) -> Iterator[str]:

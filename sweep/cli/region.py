@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .say import say, tell
 from .shared import Force, TableFile, WrongInput, check_outputs
+from .telling import remark, result
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,11 +42,10 @@ def surrogate(
     check_outputs(output, force, plot, ".parquet")
     points = [_point(text) for text in at or ()]
     model = read_surrogate(table)
-    lines = [_line(model, point) for point in points]  # a point outside is refused before anything is said
-    say(_summary(model))
+    asked = [_line(model, point) for point in points]  # a point outside is refused before anything is searched
     worst = None if grid is None else _worst(model, table, grid, source_voltage)
-    for line in lines:
-        say(line)
+    of_worst = [] if worst is None else _worst_lines(model, worst, source_voltage)
+    result("\n".join([_summary(model), *of_worst, *asked]), lambda: _values(model, points, worst))
     if output is not None:
         _write(model, table, points, output)
     if plot is not None:
@@ -96,17 +95,44 @@ def _worst(model: Surrogate, table: Path, text: str, source_voltage: float | Non
     from ...tuning.siso import parse_grid
 
     rated = read_metadata(table)["bases"]["rated_voltage_v"]
-    worst = worst_point(model, parse_grid(text, model.f1_hz), source_voltage, rated)
+    return worst_point(model, parse_grid(text, model.f1_hz), source_voltage, rated)
+
+
+def _worst_lines(model: Surrogate, worst: Worst, source_voltage: float | None) -> list[str]:
+    """The worst operating point in words."""
     critical = worst.tuning.stability.critical if worst.tuning.stability else None
     margin = "no crossing" if critical is None else f"m = {critical.m:.4g} at {critical.f_hz:.4g} Hz"
     where = ", ".join(f"{value:.4g}" for value in worst.point)
-    say(f"worst operating point (P, Q, |v|) = ({where}): {worst.tuning.verdict}, {margin}")
-    say("It is a prediction: sweep that point and tune it before it decides anything.")
+    how = "Points whose |v| would leave the swept range are left out."
     if source_voltage is None and model.region.varies[2]:
-        say("|v| was searched over its range like the powers; with --source-voltage it follows from the grid.")
-    else:
-        say("Points whose |v| would leave the swept range are left out.")
-    return worst
+        how = "|v| was searched over its range like the powers; with --source-voltage it follows from the grid."
+    return [
+        f"worst operating point (P, Q, |v|) = ({where}): {worst.tuning.verdict}, {margin}",
+        "It is a prediction: sweep that point and tune it before it decides anything.",
+        how,
+    ]
+
+
+def _values(model: Surrogate, points: list[np.ndarray], worst: Worst | None) -> dict[str, Any]:
+    """What the command says, as JSON has it."""
+    bar, where = model.worst_bar
+    critical = worst.tuning.stability.critical if worst is not None and worst.tuning.stability else None
+    return {
+        "operating_points": len(model.points),
+        "frequencies": len(model.nu_hz),
+        "region": {"low": model.region.low, "high": model.region.high},
+        "radius_95": bar,
+        "radius_95_at": where,
+        "at": [{"point": p, "radius_95": float(model.evaluate(p).relative[0].max())} for p in points],
+        "worst": None
+        if worst is None
+        else {
+            "point": worst.point,
+            "verdict": worst.tuning.verdict,
+            "margin_m": None if critical is None else critical.m,
+            "f_hz": None if critical is None else critical.f_hz,
+        },
+    }
 
 
 def _write(model: Surrogate, table: Path, points: list[np.ndarray], output: Path) -> None:
@@ -117,7 +143,7 @@ def _write(model: Surrogate, table: Path, points: list[np.ndarray], output: Path
     content = read_table(table)
     if points:
         write_predicted(output, model, points, content)
-        tell(f"{output}: {len(points)} predicted operating point{'' if len(points) == 1 else 's'}")
+        remark(f"{output}: {len(points)} predicted operating point{'' if len(points) == 1 else 's'}")
         return
     write_surrogate(output, model, content)
-    tell(f"{output}: the surrogate with the sweeps that it rests on")
+    remark(f"{output}: the surrogate with the sweeps that it rests on")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...plant.errors import SeqsweepError
-from .say import tell
+from .telling import is_json, remark, result
 
 if TYPE_CHECKING:
     from ...plant.protocol import Plant
@@ -20,6 +20,17 @@ if TYPE_CHECKING:
 OK, NOT_ALL_OK, WRONG_INPUT, INTERRUPTED, MACHINE, FAULT, DIFFERENT = range(7)
 """Exit statuses: done; done, but some rows are not ok; the input is wrong; interrupted; the machine failed us;
 the program itself is at fault; `compare` finds two tables that differ."""
+
+EXIT_STATUSES = {
+    OK: "done, whatever the verdict",
+    NOT_ALL_OK: "done, but some rows are not ok: the table says which, and why (check: a promise is broken)",
+    WRONG_INPUT: "the input is wrong; nothing is written",
+    INTERRUPTED: "interrupted; the same command again goes on",
+    MACHINE: "the machine failed (disk full, no permission, output in use); what was measured is kept",
+    FAULT: "seqsweep itself is at fault; one line says where the details are (--debug prints them)",
+    DIFFERENT: "compare finds that two tables differ",
+}
+"""Every exit status in words."""
 
 CampaignFile = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign file.")]
 TableFile = Annotated[Path, typer.Argument(metavar="TABLE.parquet", help="A table of this format.")]
@@ -57,7 +68,7 @@ def planned_from(config: Config) -> tuple[Plan, Plant | PlantCard]:
     plant = plant_or_card(config)
     planned = make_plan(config, plant)
     for warning in planned.warnings:
-        tell(f"warning: {warning}")
+        remark(f"warning: {warning}")
     return planned, plant
 
 
@@ -105,9 +116,12 @@ def check_suffix(output: Path, suffix: str) -> None:
 
 
 def report_statuses(output: Path, statuses: dict[str, int]) -> None:
-    """One line on stderr: rows by status, the most frequent first."""
+    """Rows by status, the most frequent first: one line on stderr, or the result where JSON is asked for."""
     counts = ", ".join(f"{n} {status}" for status, n in sorted(statuses.items(), key=lambda item: -item[1]))
-    tell(f"{output}: {counts}")
+    if is_json():
+        result("", lambda: {"table": output, "rows": statuses})
+    else:
+        remark(f"{output}: {counts}")
 
 
 def check_folder(output: Path) -> None:

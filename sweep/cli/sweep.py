@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from .say import columns, say, tell
+from .say import tell
 from .shared import (
     NOT_ALL_OK,
     WRONG_INPUT,
@@ -21,12 +20,12 @@ from .shared import (
     WrongInput,
     check_folder,
     check_new,
-    check_plot,
     config_of,
     planned_from,
     planned_of,
     report_statuses,
 )
+from .telling import columns, is_json, remark, result
 
 if TYPE_CHECKING:
     from ..config.sections import Config
@@ -34,27 +33,38 @@ if TYPE_CHECKING:
 
 
 def init(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Where to write it.")] = Path("campaign.toml"),
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Where to write it; by default campaign.toml or .ipynb."),
+    ] = None,
     plant: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="A real-code controller (.so, .dll): its ports, units and parameters."),
     ] = None,
+    notebook: Annotated[bool, typer.Option("--notebook", help="A notebook from the sweep to the decision.")] = False,
 ) -> None:
-    """Write a commented campaign for the reference turbine, or one around a real-code controller."""
-    from importlib.resources import files
-
+    """Write a commented campaign for the reference turbine or around a real-code controller, or a notebook."""
     from ...identify.files import atomic_file
 
+    if notebook and plant is not None:
+        raise WrongInput("--notebook and --plant each write a file of their own: give one of them")
+    output = output or Path("campaign.ipynb" if notebook else "campaign.toml")
+    if notebook != (output.suffix.lower() == ".ipynb"):
+        raise WrongInput(f"{output}: a notebook is named .ipynb and asked for by --notebook")
     if output.exists():
         raise WrongInput(f"{output} exists; choose another name with -o")
     check_folder(output)
-    if plant is None:
-        text = files("seqsweep.sweep.config").joinpath("template.toml").read_text("utf-8")
-    else:
-        text = _drafted(plant)
+    text = _template("template.ipynb" if notebook else "template.toml") if plant is None else _drafted(plant)
     with atomic_file(output) as file:
         file.write(text.encode())
-    say(f"{output} written; next: seqsweep run {output} -o y.parquet")
+    following = f"open it in Jupyter: jupyter lab {output}" if notebook else f"seqsweep run {output} -o y.parquet"
+    result(f"{output} written; next: {following}", lambda: {"output": output})
+
+
+def _template(name: str) -> str:
+    from importlib.resources import files
+
+    return files("seqsweep.sweep.config").joinpath(name).read_text("utf-8")
 
 
 def _drafted(library: Path) -> str:
@@ -73,10 +83,10 @@ def _drafted(library: Path) -> str:
 
 def plan(campaign: CampaignFile, settings: Settings = None, jobs: int = os.cpu_count() or 1) -> None:
     """Print every shot, the simulated seconds and the expected wall time; no shot is fired."""
-    from .plan_text import plan_text
+    from .plan_text import plan_text, plan_values
 
     planned, plant = planned_of(campaign, settings)
-    say(plan_text(planned, plant, jobs))
+    result(lambda: plan_text(planned, plant, jobs), lambda: plan_values(planned, plant, jobs))
 
 
 def run(
@@ -104,8 +114,8 @@ def run(
         return
     outcome = _run_listed(config, output, Running(jobs, backend, scheduler), force)
     report_statuses(output, outcome.statuses)
-    for remark in outcome.remarks:
-        tell(remark)
+    for text in outcome.remarks:
+        remark(text)
     if not outcome.all_ok:
         raise typer.Exit(NOT_ALL_OK)
 
@@ -134,7 +144,7 @@ def _run_listed(config: Config, output: Path, running: Running, force: bool) -> 
             scheduler=running.scheduler,
             discard=force,
             report=report,
-            say=tell,
+            say=remark,
         )
 
 
@@ -148,34 +158,14 @@ def _run_region(config: Config, output: Path, running: Running, force: bool) -> 
     folder = output.with_name(output.name + ".rounds")
     if force and folder.exists():
         shutil.rmtree(folder)
-    outcome = sweep_region(config, output, one_round, tell)
+    outcome = sweep_region(config, output, one_round, remark)
     report_statuses(output, outcome.statuses)
     known = f"Y is certified to {outcome.tolerance:g} over the region"
     if not outcome.certified:
         known = "the tolerance was not reached: a larger `most` sweeps on, or ask for less"
-    tell(f"{outcome.n_points} operating points; {known}")
+    remark(f"{outcome.n_points} operating points; {known}")
     if not outcome.certified or set(outcome.statuses) - {"ok"}:
         raise typer.Exit(NOT_ALL_OK)
-
-
-def show(
-    table: TableFile,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Bode plot: .png, .svg or .pdf.")] = None,
-    op: Annotated[str | None, typer.Option(metavar="ID", help="Operating point to draw.")] = None,
-) -> None:
-    """Summarise a table, and draw its Bode plot."""
-    from ..report.summary import summary
-
-    if op is not None and plot is None:
-        raise WrongInput("--op names the operating point to draw: it goes with --plot FILE")
-    check_plot(plot)
-    terminal = sys.stdout.isatty()
-    typer.echo(summary(table, width=shutil.get_terminal_size((80, 24)).columns, plain=not terminal))
-    if plot is not None:
-        from ...identify.views.bode import bode
-
-        drawn = bode(table, plot, op)
-        say(f"{plot}: operating point{'s' if len(drawn) > 1 else ''} {', '.join(drawn)}")
 
 
 def validate(table: TableFile) -> None:
@@ -185,23 +175,31 @@ def validate(table: TableFile) -> None:
     violations = validate_table(table)
     for violation in violations:
         tell(violation)
+    if is_json() or not violations:
+        conforms = {"table": table, "conforms": not violations, "violations": violations}
+        result(f"{table}: conforms", lambda: conforms)
     if violations:
         raise typer.Exit(WRONG_INPUT)
-    say(f"{table}: conforms")
 
 
 def check(
     plant: Annotated[str, typer.Argument(metavar="PLANT", help="A plant's id, a CAMPAIGN.toml, or a file to read.")],
 ) -> None:
     """Hold a plant against its promise; of a file (.fmu, .so, .dll, .py) say what it is, executing nothing."""
+    from dataclasses import asdict
+
     from ...tuning.layout import labelled
     from .check import findings_of, findings_of_campaign, inspect, is_inspected
 
     if is_inspected(plant):
-        say(inspect(Path(plant)))
+        said = inspect(Path(plant))
+        result(said, lambda: {"what": plant, "text": said.splitlines()})
         return
     findings = findings_of_campaign(Path(plant)) if plant.endswith(".toml") else findings_of(plant)
     rows = [(f"{'pass' if finding.passed else 'FAIL'}  {finding.name}", finding.detail) for finding in findings]
-    say(labelled(rows, columns()))
+    result(
+        lambda: labelled(rows, columns()),
+        lambda: {"what": plant, "promises": list(map(asdict, findings))},
+    )
     if not all(finding.passed for finding in findings):
         raise typer.Exit(NOT_ALL_OK)

@@ -18,8 +18,10 @@ import numpy as np
 
 from ...identify.operating_state import fundamental_text, stable_on_text
 from ...identify.response import STATUSES, FrequencyResponse
+from ...identify.table.format import TableError
 from ...identify.table.read import iter_responses, read_metadata
 from ...identify.uncertainty import relative_uncertainty
+from ...plant.errors import place_of
 from ..excitation.adaptive_rounds import certificate_text
 
 if TYPE_CHECKING:
@@ -79,7 +81,7 @@ class Complaint:
     places: list[tuple[str, float]] = field(default_factory=list)
 
 
-def summary(table_path: str | Path, width: int = 80, plain: bool = True) -> str:
+def summary(table_path: str | Path, width: int = 80, plain: bool = True, op_id: str | None = None) -> str:
     """A page of text about a table.
 
     Parameters
@@ -90,18 +92,15 @@ def summary(table_path: str | Path, width: int = 80, plain: bool = True) -> str:
         Columns to fill, at least `MIN_WIDTH`.
     plain : bool
         ASCII without colour, for files and pipes; else lines and colours of a terminal.
+    op_id : str, optional
+        Only this operating point.
 
     Raises
     ------
     TableError
-        If the file is not a readable table.
+        If the file is not a readable table, or has no such operating point.
     """
-    meta = read_metadata(table_path)
-    complaints: dict[tuple[str, str], Complaint] = {}
-    facts = []
-    for response in iter_responses(table_path):
-        facts.append(point_facts(response))
-        _collect(complaints, response)
+    meta, facts, complaints = _read(table_path, op_id)
     worst_first = sorted(complaints.values(), key=lambda complaint: -complaint.count)
     page = [
         _pairs(_header(Path(table_path).name, meta, facts)),
@@ -109,6 +108,46 @@ def summary(table_path: str | Path, width: int = 80, plain: bool = True) -> str:
         *_reasons(worst_first),
     ]
     return _rendered(page, max(width, MIN_WIDTH), plain)
+
+
+def summary_values(table_path: str | Path, op_id: str | None = None) -> dict[str, Any]:
+    """What `summary` says, as plain values for other programs; raises as `summary`."""
+    from dataclasses import asdict
+
+    meta, facts, complaints = _read(table_path, op_id)
+    return {
+        "table": Path(table_path).name,
+        "format": meta["format"],
+        "version": meta["version"],
+        "plant": _table(meta, "plant").get("id"),
+        "f1_hz": meta["f1_hz"],
+        "bases": {key: value for key, value in _table(meta, "bases").items() if isinstance(value, int | float)},
+        "operating_points": [_fact_values(each) for each in facts],
+        "not_ok": [asdict(complaint) for complaint in complaints.values()],
+    }
+
+
+def _fact_values(point: PointFacts) -> dict[str, Any]:
+    named = {name: getattr(point, name) for name in PointFacts.__slots__}
+    worst = {name: value._asdict() if isinstance(value, Worst) else value for name, value in named.items()}
+    return {**worst, "statuses": dict(point.statuses)}
+
+
+def _read(
+    table_path: str | Path, op_id: str | None
+) -> tuple[Mapping[str, Any], list[PointFacts], dict[tuple[str, str], Complaint]]:
+    """Metadata, facts and complaints of a table, or of one operating point of it."""
+    meta = read_metadata(table_path)
+    if op_id is not None:
+        names = [str(point.get("op_id")) for point in meta.get("operating_points", [])]
+        place_of(op_id, names, "what is to be shown", TableError)
+    complaints: dict[tuple[str, str], Complaint] = {}
+    facts = []
+    for response in iter_responses(table_path):
+        if op_id is None or str(response.meta["op_id"]) == op_id:
+            facts.append(point_facts(response))
+            _collect(complaints, response)
+    return meta, facts, complaints
 
 
 def point_facts(response: FrequencyResponse) -> PointFacts:

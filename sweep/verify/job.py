@@ -14,7 +14,7 @@ from ...plant.protocol import Plant
 from ...plant.registry import PlantSpec, card_of
 from ..run.child import ChildFailed
 from ..run.host import host_named
-from .report import format_report, write_json
+from .report import write_json
 from .runs import Verification, cause_gone_of, verify
 from .scenario import Story, read_story
 from .tuned import VerifyError, read_tuning, tuned_of
@@ -81,7 +81,7 @@ def _answer_with_card(question: Question, spec: PlantSpec, plant: Plant) -> Veri
 
 
 class VerifyJob(NamedTuple):
-    """What the command was called with: files, and the width of the terminal."""
+    """What the command was called with."""
 
     tuning: Path
     table: Path | None
@@ -90,11 +90,10 @@ class VerifyJob(NamedTuple):
     scenario: Path | None
     output: Path | None
     plot: Path | None
-    width: int
 
 
-def verified(job: VerifyJob) -> str:
-    """Do it, write the files that were asked for, and give the report as text; raises as `verification`."""
+def verified(job: VerifyJob) -> Verification:
+    """Do it, and write the files that were asked for; raises as `verification`."""
     tuning = read_tuning(job.tuning)
     swept = None if job.table is None else read_table(job.table).response(job.op or tuning["worst"])
     story = None if job.scenario is None else read_story(job.scenario)
@@ -105,4 +104,4 @@ def verified(job: VerifyJob) -> str:
         from .figure import plot as draw
 
         draw(result, job.plot)
-    return format_report(result, job.width)
+    return result

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).parents[2] / "examples" / "notebooks").glob("*.ipynb"))
+TOP = Path(__file__).parents[2]
+NOTEBOOKS = sorted((TOP / "examples" / "notebooks").glob("*.ipynb"))
+TEMPLATE = TOP / "sweep" / "config" / "template.ipynb"
+"""What `seqsweep init --notebook` writes."""
 
 RUN = """
 import sys, nbformat
@@ -24,7 +27,7 @@ def test_there_is_one_for_every_kind_of_device():
     assert [path.stem for path in NOTEBOOKS] == ["fmu", "recording", "step_function", "turbine"]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*NOTEBOOKS, TEMPLATE], ids=lambda path: path.stem)
 def test_a_notebook_runs(path, tmp_path):
     pytest.importorskip("nbclient", reason="the extra 'test' is not installed")
     if path.stem == "fmu":

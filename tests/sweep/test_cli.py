@@ -244,7 +244,7 @@ def test_rows_that_are_not_ok_end_in_status_one_with_a_whole_table(tmp_path):
     path.write_text(path.read_text().replace("terminal_voltage_pu = 1.0", weak) + '\n[source]\nkind = "thevenin"\n')
     done = command("run", path, "-o", table)
     assert done.returncode == NOT_ALL_OK
-    assert done.stderr.strip().splitlines()[-1] == f"{table}: 4 diverged"
+    assert f"{table}: 4 diverged" in done.stderr.splitlines()
     assert command("validate", table).returncode == OK
     shown = command("show", table)
     assert shown.returncode == OK
@@ -400,7 +400,7 @@ def mounted(tmp_path):
 def test_a_full_file_system_is_the_machines_fault_and_nothing_false_is_left(tmp_path, mounted):
     path, small = campaign(tmp_path, n=40), mounted("size=16k")
     done = command("run", path, "-o", small / "y.parquet")
-    assert_refused(done, "No space left on device", MACHINE)
+    assert_refused(done, "no space left on device", MACHINE)
     assert not (small / "y.parquet").exists()
     assert not list(small.glob("**/*.tmp"))
     assert not list(small.glob(".*"))
