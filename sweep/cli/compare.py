@@ -38,7 +38,7 @@ def compare(
     lines = [*map(_text, found), f"agree within their uncertainty: {'yes' if agree else 'no'}"]
     result("\n".join(lines), lambda: {"agree": agree, "tolerance": tolerance, "operating_points": _values(found)})
     if plot is not None:
-        from ...identify.views.difference import plot_comparison
+        from ...identify.comparison_figure import plot_comparison
 
         worst = max(found, key=lambda comparison: (not comparison.agrees, float(comparison.relative.max())))
         plot_comparison(worst, plot, (first.name, second.name))

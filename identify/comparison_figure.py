@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import DEVICE, GRID, QUIET, WARNING, escaped, grid_lines, new_figure, write_figure
+from .views.style import DEVICE, GRID, QUIET, WARNING, escaped, grid_lines, new_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..comparison import Comparison
+    from .comparison import Comparison
 
 NAMED = 3
 """Worst places that are named in the picture."""
