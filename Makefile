@@ -14,7 +14,7 @@ demo: $(READY)
 	$(BIN)/seqsweep show build/table1.parquet --plot build/table1.png
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .

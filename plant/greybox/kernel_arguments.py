@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from functools import lru_cache
 from math import tan
 from typing import Any
@@ -13,7 +14,45 @@ from ..controllers.signal_map import Map
 from ..damping.control import NOTCH_XI
 from ..protocol import Compensation, Source
 from ..turbine.parameters import TurbineParameters
+from ..turbine.tone_table import Spectrum, common_period, waveform
 from . import circuit
+
+NO_WAVE = np.zeros((0, 5), complex)
+"""The waveform of a source that is made of phasors alone."""
+
+
+WAVES_KEPT = 4
+"""Waveforms of injected signals that are kept: both axes of one, and their negatives."""
+
+
+class Waves:
+    """Many tones as a periodic waveform, kept: a signal is driven from many states, in many stretches.
+
+    Parameters
+    ----------
+    forcing_of : callable
+        Source and signed frequency (Hz) to (4,) complex: what a tone adds in a step, per volt at its start.
+    dt_s : float
+        Step (s).
+    """
+
+    def __init__(self, forcing_of: Callable[[Source, float], np.ndarray], dt_s: float):
+        self._forcing_of, self._rate_hz = forcing_of, 1.0 / dt_s
+        self._kept: dict[tuple[tuple[tuple[float, complex], ...], Source], np.ndarray] = {}
+
+    def of(self, tones: Spectrum, source: Source) -> np.ndarray:
+        """The waveform as the kernel takes it, (n_rows, 5) complex; `NO_WAVE` where the tones are better summed."""
+        key = tuple(tones), source
+        if key not in self._kept:
+            n_rows = common_period([tones], self._rate_hz) if tones else 0
+            made = self._made(tones, source, n_rows) if n_rows else NO_WAVE
+            self._kept = {key: made, **dict([*self._kept.items()][: WAVES_KEPT - 1])}
+        return self._kept[key]
+
+    def _made(self, tones: Spectrum, source: Source, n_rows: int) -> np.ndarray:
+        added = [(f_hz, phasor * self._forcing_of(source, f_hz)) for f_hz, phasor in tones]
+        columns = [tones, *([(f_hz, each[k]) for f_hz, each in added] for k in range(4))]
+        return np.stack([waveform(column, self._rate_hz, n_rows, 0) for column in columns], axis=1)
 
 
 @lru_cache(maxsize=64)
@@ -86,7 +125,7 @@ def warm_up() -> None:
     cells, wiring = cells_of(np.zeros(8, np.uint8)), wiring_of(Map((), (), False, ()))
     addresses = np.array([ctypes.cast(nothing, ctypes.c_void_p).value, 0], np.int64)
     box = kernel.Box(addresses, np.zeros(1), cells, cells, wiring, kernel.Port(0.0, 0.0, 0.0, 0.0, 0.0))
-    source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex))
+    source = kernel.Tones(np.ones(1, complex), np.ones(1, complex), np.zeros((1, 4), complex), NO_WAVE)
     network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0, 0.0, 0.0)
     quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
     kernel.inform(box, network, store, quantities, x, 0j, 1.0)

@@ -39,7 +39,7 @@ from ..states.steady_state import Clock, Patience, until_periodic, voltage_asked
 from ..turbine import equilibrium as stationary
 from ..turbine.parameters import TurbineParameters
 from . import circuit
-from .kernel_arguments import cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
+from .kernel_arguments import Waves, cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
 from .state import GreyState, Sight
 
 POWER_W = (0.05e6, 1.35e6)
@@ -104,6 +104,7 @@ class SampledTurbine:
         self._delay, self._patience = delay, patience
         self.compensation = block
         self._port = port_of(block, parameters.w1_rad_s, dt_s)
+        self._waves = Waves(self._forcing, dt_s)
         self.controller = open_controller()
         self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
 
@@ -464,15 +465,15 @@ class SampledTurbine:
         from ..kernels import grey as kernel
 
         state, source = job.state, job.state.source
-        tones = [
-            (self.f1_hz, state.v_source),
-            *series_tones(job.injection, source, lambda f_hz: circuit.impedance(source, f_hz)),
-        ]
+        injected = list(series_tones(job.injection, source, lambda f_hz: circuit.impedance(source, f_hz)))
+        wave = self._waves.of(injected, source)
+        tones = [(self.f1_hz, state.v_source), *([] if len(wave) else injected)]
         first_s = state.step * self.dt_s
         return kernel.Tones(
             np.array([amplitude * turns(f_hz * first_s) for f_hz, amplitude in tones]),
             np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
             np.array([self._forcing(source, f_hz) for f_hz, _ in tones]),
+            wave,
         )
 
     def _silent_port(self) -> str:

@@ -184,7 +184,7 @@ class Box(NamedTuple):
 
 
 class Tones(NamedTuple):
-    """A source of rotating phasors.
+    """A source of rotating phasors, and of a periodic waveform where there are too many of them to sum at every step.
 
     Attributes
     ----------
@@ -192,11 +192,15 @@ class Tones(NamedTuple):
         Their values at the step at hand (V), moved on in place, and their turn per step.
     forcing : (n, 4) complex
         What a phasor adds to states and integral over a step, per volt at its start.
+    table : (n_rows, 5) complex
+        The waveform: its voltage (V) at step k of its period, and what it adds to states and integral over that step.
+        Steps are counted from time zero. Of no rows where all is in the phasors.
     """
 
     phasors: np.ndarray
     rotations: np.ndarray
     forcing: np.ndarray
+    table: np.ndarray
 
 
 def _call(typing_context, function, argument):
@@ -359,10 +363,13 @@ def _all_later(x, u, phasors, network, forcing):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _move(x, energy, u, source, network, skew, store):
+def _move(x, energy, u, source, network, skew, store, step):
     """States (in place) and energy one step later under the converter voltage ``u``."""
-    phasors = source.phasors
+    phasors, table = source.phasors, source.table
     x_0, x_1, x_2, charge = _all_later(x, u, phasors, network, source.forcing)
+    if len(table) > 0:
+        row = step % len(table)
+        x_0, x_1, x_2, charge = x_0 + table[row, 1], x_1 + table[row, 2], x_2 + table[row, 3], charge + table[row, 4]
     if skew is not None:
         more_0, more_1, more_2, more_charge = _all_later(x, u, phasors, skew.network, skew.forcing)
         x_0 += skew.turn * more_0.conjugate()
@@ -382,6 +389,8 @@ def _step(box, source, network, skew, store, step, quantities, x, energy):
     e = 0.0j
     for tone in range(len(source.phasors)):
         e += source.phasors[tone]
+    if len(source.table) > 0:
+        e += source.table[step % len(source.table), 0]
     v, i = _observe(x, e, energy, network, skew, store, quantities)
     _at_port(box.port, x, i, quantities)
     box.time[0] = step * store.dt_s
@@ -397,7 +406,7 @@ def _step(box, source, network, skew, store, step, quantities, x, energy):
     u = _voltage(command, x, quantities[V_DC], box.wiring.modulated, store)
     if not _switches(box):  # the choke sees no voltage: its current dies away in its resistance
         u = complex(quantities[V_F_RE], quantities[V_F_IM])
-    energy = _move(x, energy, u, source, network, skew, store)
+    energy = _move(x, energy, u, source, network, skew, store, step)
     return v, i, energy, DONE if energy > 0.0 else EMPTY
 
 
