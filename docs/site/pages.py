@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,13 +50,13 @@ def turn_links(app: Sphinx, name: str, content: list[str]) -> None:
 
 def spare_bars(app: Sphinx, kind: str, name: str, found: object, options: object, lines: list[str]) -> None:
     """``|v|`` in a docstring is a magnitude and no substitution. Runs before napoleon."""
-    lines[:] = [line if "``" in line else line.replace("|", "\\|") for line in lines]
+    lines[:] = [line if "``" in line else re.sub(r"(?<!\\)\|", r"\\|", line) for line in lines]
 
 
 def mark_boxes(app: Sphinx, document: nodes.document) -> None:
     """Give the box of a page its class."""
     for table in document.findall(nodes.table):
-        if table.astext().startswith(GLANCE):
+        if table.astext().strip().startswith(GLANCE):
             table["classes"].append("glance")
 
 
@@ -65,4 +66,4 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("source-read", turn_links)
     app.connect("doctree-read", mark_boxes)
     app.connect("autodoc-process-docstring", spare_bars, priority=100)
-    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
+    return {"version": "1", "env_version": 2, "parallel_read_safe": True, "parallel_write_safe": True}
