@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -52,7 +53,16 @@ def _section(name: str, command: Any) -> str:
     arguments = " ".join(_usage(p) for p in shown if p.param_type_name == "argument")
     needed = " ".join(f"{p.opts[0]} {metavar(p)}" for p in shown if p.param_type_name == "option" and p.required)
     usage = " ".join(part for part in ("seqsweep", name, arguments, needed, "[OPTIONS]") if part)
-    return f"## seqsweep {name}\n\n    {usage}\n\n{_prose(command.help or '')}\n\n{_table(shown)}"
+    words = f"{_prose(command.help or '')}\n\n{_table(shown)}\n{_examples(command.epilog or '')}"
+    return f"## seqsweep {name}\n\n    {usage}\n\n{words}"
+
+
+def _examples(epilog: str) -> str:
+    """Examples of a command and the page that it names, from what stands below its help."""
+    examples = "".join(f"    {line.strip()}\n" for line in epilog.splitlines() if line.startswith("  "))
+    page = re.search(r"More: docs/(\S+)\.md", epilog)
+    more = f"More: [{page[1]}](../{page[1]}.md).\n" if page else ""
+    return f"{examples}\n{more}" if examples else more
 
 
 def _prose(text: str) -> str:

@@ -39,8 +39,8 @@ counts = {verdict: sum(pair.verdict == verdict for pair in pairs) for verdict in
 print(counts)
 
 # %%
-# The growth of the deciding mode of each grid. Without a capacitor that is the mode near 24 and 76 Hz; with one it is the
-# resonance of the capacitor and the line, which the grid's resistance hardly damps.
+# The growth of the deciding mode of each grid. Without a capacitor that is the mode near 24 and 76 Hz; with one it is
+# the resonance of the capacitor and the line, which the grid's resistance hardly damps.
 
 by_place = {pair.grid_id: pair for pair in pairs}
 growth = np.array([by_place[name].re_rad_s for name in sorted(by_place)], dtype=float).reshape(7, 9)

@@ -131,6 +131,47 @@ def test_the_reference_has_every_column_and_every_name_in_python(site):
     assert [name for name in names if f'id="seqsweep.{seqsweep._HOME[name]}.{name}"' not in api] == []
 
 
+def written_pages() -> list[Path]:
+    """Pages that people write."""
+    made = {DOCS / name for name in ("generated", "gallery", "notebooks", "site")}
+    return [path for path in sorted(DOCS.rglob("*.md")) if not made & set(path.parents)]
+
+
+NO_BOX = {"index", "how-to", "explanation", "reference", "appendix", "benchmarks", "exit-statuses", "notation"}
+"""Lists of pages, and lists of words."""
+
+
+@pytest.mark.parametrize("page", written_pages(), ids=lambda page: page.stem)
+def test_a_page_begins_with_what_you_type_see_mean_and_do_next(page):
+    if page.stem in NO_BOX:
+        return
+    head = page.read_text("utf-8").split("\n## ")[0]
+    rows = re.findall(r"^\| (You type|You see|It means|Next) \| \S.* \|$", head, re.MULTILINE)
+    assert rows == ["You type", "You see", "It means", "Next"]
+
+
+def test_the_glossary_has_the_words_of_the_program():
+    """Heads of the table of verdicts, statuses of rows, and what `check` tries."""
+    import ast
+
+    from seqsweep.identify.response import STATUSES
+
+    text = (DOCS / "glossary.md").read_text("utf-8")
+    verdicts = ast.parse((TOP / "tuning" / "text.py").read_text("utf-8"))
+    heads = {
+        key.value
+        for function in ast.walk(verdicts)
+        if isinstance(function, ast.FunctionDef)
+        for mapping in ast.walk(function)
+        if isinstance(mapping, ast.Dict)
+        and any(isinstance(k, ast.Constant) and k.value == "verdict" for k in mapping.keys)
+        for key in mapping.keys
+        if isinstance(key, ast.Constant)
+    }
+    assert {"verdict", "m", "Z crit"} <= heads
+    assert [word for word in sorted(heads | set(STATUSES)) if f"`{word}`" not in text] == []
+
+
 # ---------------------------------------------------------------- what commands print
 
 
