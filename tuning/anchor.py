@@ -21,6 +21,8 @@ from .grids.in_time import grid_of_fact
 from .rows import Rows, wind_rows
 from .siso import Grid
 
+_GROWING = 0.05  # how likely a slow mode of a device that came to rest grows, over that it decays, before any row
+
 
 @dataclass(frozen=True, slots=True)
 class Anchor:
@@ -65,7 +67,8 @@ def open_mode(model: RationalModel, anchor: Anchor | None) -> OpenMode | None:
 
 
 def _opened(pole: complex, std: float) -> OpenMode:
-    return OpenMode(pole, std, 0.5 * (1.0 + erf(-pole.real / max(std, 1e-300) / sqrt(2.0))))
+    decays = 0.5 * (1.0 + erf(-pole.real / max(std, 1e-300) / sqrt(2.0)))
+    return OpenMode(pole, std, decays / (decays + _GROWING * (1.0 - decays)))
 
 
 def _bound(fact: Any) -> float:

@@ -26,6 +26,7 @@ LIGHTLY_DAMPED = 0.05
 _CLEARLY = 0.3  # part of Y that feeds a wave from which on a device surely does, its hold and delay aside
 _TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
 _UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y that no longer describe the rows
+_EXACT = 1e-6  # misfit relative to Y of a fit that meets the rows
 _DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
 
@@ -110,6 +111,8 @@ def _unproved(case: Case) -> str:
 def _too_few_rows(case: Case) -> str:
     """The order of the fit ended where the rows ran out, and they are not described."""
     model = case.model
+    if case.stable and not (case.hidden is not None and case.hidden.is_shown):
+        return ""
     most = min(MAX_ORDER, (len(model.nu_hz) - 1) // 2)
     unexplained = model.weighting != "covariance" or model.residual > _UNEXPLAINED
     if case.rows is None or model.order + 2 <= most or not unexplained or _misfit(case.rows, model) < _ROUGH:
@@ -118,6 +121,14 @@ def _too_few_rows(case: Case) -> str:
         f"{len(model.nu_hz)} rows tell no more than {most} poles apart, and the device has more: the fit leaves more "
         "than noise unexplained; sweep more points"
     )
+
+
+def _is_exact(rows: Rows, model: RationalModel) -> bool:
+    """Whether the fit meets every row, with half as many parameters as numbers: eight rows tell no more than that."""
+    y = rows.data.y
+    error = np.linalg.norm(evaluate(model, 2j * np.pi * rows.data.nu_hz) - y, axis=(1, 2))
+    overdetermined = len(model.covariance_root) <= y.size
+    return bool(overdetermined and np.all(error < _EXACT * np.linalg.norm(y, axis=(1, 2))))
 
 
 def _misfit(rows: Rows, model: RationalModel) -> float:
@@ -160,7 +171,7 @@ def _judges_disagree(case: Case) -> str:
     by_poles, by_locus = case.loop.n_unstable, case.model.n_unstable - case.winding.number
     if by_poles != by_locus:
         return f"locus and poles disagree ({case.turns}, {by_poles} unstable closed-loop poles)"
-    if case.rows is None or case.by_rows is None or case.by_rows == by_poles:
+    if case.rows is None or case.by_rows is None or case.by_rows == by_poles or _is_exact(case.rows, case.model):
         return ""
     at = difference(case.rows, case.model, case.grid)
     if at.in_noise:

@@ -34,7 +34,8 @@ class Stability:
     reason : str
         Why, in one sentence.
     probability : float
-        Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band.
+        Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band, and
+        whether a mode that rows or runs do not exclude changes that.
     winding : Winding
         The locus.
     n_open_loop_unstable : int
@@ -101,9 +102,11 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     return Stability(
         verdict=verdict,
         reason=reason,
-        probability=doubtful.probability
-        * (1.0 if hidden is None else hidden.harmless)
-        * (1.0 if still_open is None else still_open.decays),
+        probability=min(
+            doubtful.probability,
+            1.0 if hidden is None else hidden.harmless,
+            1.0 if still_open is None else still_open.decays,
+        ),
         winding=winding,
         n_open_loop_unstable=model.n_unstable,
         n_unstable_by_rows=by_rows,

@@ -31,6 +31,7 @@ from ...plant.errors import SeqsweepError
 from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
+from .exact_rows import from_interpolant
 from .least_squares import Problem, Trial, refine, solve_residues, weighted
 from .order import drop_faint, drop_outliers, prune, select_order, settle_far_poles, settle_instability, thin_out_far
 from .partial_fractions import order_of, upper_half
@@ -102,7 +103,7 @@ def fit_response(
     if part is not None:
         problem = weighted(data, noise_floor, part)._replace(n_unstable=known)
         trial = select_order(problem, max_order, start)
-    trial = refine(problem, trial)
+    trial = from_interpolant(problem, data, refine(problem, trial))
     problem, trial, outlying = leave_out_outliers(problem, trial, max_order)
     uneven = weighted_by_misfit(problem, trial)
     if uneven is not None:

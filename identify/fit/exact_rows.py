@@ -1,0 +1,53 @@
+"""Rows without noise, sparse for their device: an interpolant finds the poles where the order search gets stuck.
+
+The search begins with weakly damped pairs. Where its misfit is beyond what the rows state of their errors, interpolants
+of growing degree (`aaa`) are asked. If one describes the rows it does not pass through as well, to 1e-5, the rows have
+no noise to speak of, and its poles are a start for the fit. Noise is nothing that an interpolant ever describes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .aaa import Barycentric, interpolants, poles
+from .dq_data import DqData
+from .least_squares import Problem, Trial, floor_cost, held, refine
+from .partial_fractions import upper_half
+from .vector_fit import vector_fit
+
+_DESCRIBED = 1e-5  # misfit of an interpolant, relative to Y, that noise does not allow
+_UNEXPLAINED = 4.0  # variances beyond the stated ones from which on a misfit is no noise
+_HIGHEST, _PER_ROW = 27, 0.8  # order of an interpolant, and order per row: half as many parameters as numbers
+_MANY = 150  # rows from which on the order search does not get stuck
+
+
+def from_interpolant(problem: Problem, data: DqData, trial: Trial) -> Trial:
+    """A trial that starts from the poles of an interpolant, where rows are exact and ``trial`` misses them."""
+    if len(data.nu_hz) > _MANY or not _is_unexplained(problem, trial):
+        return trial
+    found = _describing(data)
+    if found is None:
+        return trial
+    start = held(problem, upper_half(poles(found)))
+    started = [refine(problem, vector_fit(problem, start, tail)) for tail in (1, 2)]
+    return min(trial, *started, key=lambda t: t.bic)
+
+
+def _describing(data: DqData) -> Barycentric | None:
+    """The first interpolant that describes the rows and is not ten times worse than the next, if any does."""
+    best = None
+    for found in interpolants(data):
+        if 2 * len(found.z) - 1 > min(_HIGHEST, _PER_ROW * len(data.nu_hz)):
+            break
+        if best is not None and found.misfit > 0.1 * best.misfit:
+            break
+        if found.misfit < _DESCRIBED:
+            best = found
+    return best
+
+
+def _is_unexplained(problem: Problem, trial: Trial) -> bool:
+    """Whether the misfit is beyond the floor, and beyond the stated errors where there are any."""
+    if trial.cost < _UNEXPLAINED * floor_cost(problem):
+        return False
+    return problem.noise is None or trial.cost > _UNEXPLAINED * float(np.einsum("nii->", problem.noise))
