@@ -27,9 +27,7 @@ from .sweep.run.swept import Swept
 from .tables import table_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Progress = Callable[[int, int, float], None]
+    from .sweep.cli.progress import Progress
 
 # Frequencies
 
@@ -227,14 +225,15 @@ def sweep(
 def _swept(config: Config, live: Plant | None, jobs: int | None, progress: bool, single: bool) -> Table:
     plant = plant_or_card(config) if live is None else live
     plan = make_plan(config, plant) if live is None else _live_plan(config, live)
-    with _shown(progress) as report:
+    with _shown(progress) as shown:
         try:
             swept = sweep_in_memory(
                 plan,
                 plant,
                 jobs=_workers(jobs, live),
                 backend=None if live is None else "threading",
-                report=report,
+                report=shown.report,
+                say=shown.say,
             )
         except Interrupted as interrupted:
             raise _interrupted(interrupted.swept, single) from None
@@ -283,13 +282,14 @@ def _warn(remarks: Sequence[str]) -> None:
 
 @contextmanager
 def _shown(progress: bool) -> Iterator[Progress]:
-    if not progress:
-        yield lambda done, total, share: None
-        return
+    from .sweep.cli.progress import Progress
     from .sweep.cli.progress import progress as shown
 
-    with shown() as report:
-        yield report
+    if not progress:
+        yield Progress(lambda done, total, share: None, lambda text: None)
+        return
+    with shown() as found:
+        yield found
 
 
 # From arguments to the sections of a campaign
@@ -418,8 +418,9 @@ class Campaign:
             raise SeqsweepError(f"{output} exists; force=True replaces it")
         plant = self._plant()
         plan = make_plan(self.config, plant)
-        with _shown(progress) as report:
-            outcome = run_campaign(plan, plant, output, jobs=jobs or os.cpu_count() or 1, discard=force, report=report)
+        with _shown(progress) as shown:
+            workers = jobs or os.cpu_count() or 1
+            outcome = run_campaign(plan, plant, output, jobs=workers, discard=force, report=shown.report, say=shown.say)
         _warn([*plan.warnings, *outcome.remarks])
         return read_table(output)
 

@@ -134,7 +134,7 @@ def _run_listed(config: Config, output: Path, running: Running, force: bool) -> 
     from .progress import progress
 
     planned, plant = planned_from(config)
-    with progress() as report:
+    with progress() as shown:
         return run_campaign(
             planned,
             plant,
@@ -143,8 +143,8 @@ def _run_listed(config: Config, output: Path, running: Running, force: bool) -> 
             backend=running.backend,
             scheduler=running.scheduler,
             discard=force,
-            report=report,
-            say=remark,
+            report=shown.report,
+            say=shown.say,
         )
 
 

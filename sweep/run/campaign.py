@@ -85,7 +85,7 @@ def run(
     report : callable
         Progress.
     say : callable
-        Called once, with a line of text, where an earlier run left something to go on with.
+        Called with a line of text where an earlier run left something to go on with, and where a device takes long.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def run(
     with shards.locked(folder):
         if not discard:
             _refuse_strangers(plan, folder)
-        runner = Runner(plan, plant, shards.Folder(folder), Workers(jobs, backend, scheduler), report, say)
+        runner = Runner(plan, plant, shards.Folder(folder), Workers(jobs, backend, scheduler, say), report, say)
         statuses: dict[str, int] = {}
         swept = runner.measure()
         write_table(output, _counted(swept.responses(), statuses), swept.metadata())
@@ -109,7 +109,13 @@ def run(
 
 
 def sweep_in_memory(
-    plan: Plan, plant: Plant | PlantCard, *, jobs: int, backend: str | None = None, report: Report = _quiet
+    plan: Plan,
+    plant: Plant | PlantCard,
+    *,
+    jobs: int,
+    backend: str | None = None,
+    report: Report = _quiet,
+    say: Callable[[str], None] = _silent,
 ) -> Swept:
     """`run` without a file: results are kept in memory, and nothing is left on the disk.
 
@@ -120,7 +126,7 @@ def sweep_in_memory(
     """
     store = shards.Memory()
     try:
-        return Runner(plan, plant, store, Workers(jobs, backend, None), report).measure()
+        return Runner(plan, plant, store, Workers(jobs, backend, None, say), report).measure()
     except KeyboardInterrupt:
         known = [batch for batch, result in store.kept.values() if batch.amplitude_pu == plan.amplitude_pu]
         raise Interrupted(Swept(plan, plant, store, known, {})) from None

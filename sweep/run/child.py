@@ -24,6 +24,7 @@ from ...plant.errors import is_without_room, reason_of
 from ...plant.protocol import Plant
 from ...plant.registry import PlantCard, PlantError, PlantSpec, card_of
 from ...plant.states.processes import adopting_orphans, bury, die_with_parent, how_it_ended, most_memory_mb
+from .heartbeat import Beat, Waiting, beating
 
 T = TypeVar("T")
 
@@ -120,8 +121,10 @@ class Child:
         assert isinstance(answer, PlantCard)
         self.card = answer
 
-    def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
+    def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str, waiting: Waiting | None = None) -> T:
         """``question(plant)``, answered within ``timeout_s`` (s); ``late`` is the reason where it is not.
+
+        ``waiting`` is told of the shots that the plant is at, and how long they take.
 
         Raises
         ------
@@ -130,7 +133,7 @@ class Child:
         OSError
             If the disk is full.
         """
-        answer = self._exchange(question, timeout_s, late)
+        answer = self._exchange(question, timeout_s, late, waiting)
         if isinstance(answer, _Trouble):
             raise answer.error(ChildFailed)
         return answer  # type: ignore[return-value]
@@ -144,12 +147,18 @@ class Child:
         self._pipe.close()
         self._said.unlink(missing_ok=True)
 
-    def _exchange(self, question: object, timeout_s: float, late: str) -> object:
+    def _exchange(self, question: object, timeout_s: float, late: str, waiting: Waiting | None = None) -> object:
         try:
             self._pipe.send(question)
-            self._wait(timeout_s, late)
-            _forget_what_was_said(self._said)
-            return self._pipe.recv()
+            end = time.monotonic() + timeout_s
+            while True:
+                self._wait(end, late, waiting)
+                _forget_what_was_said(self._said)
+                answer = self._pipe.recv()
+                if not isinstance(answer, Beat):
+                    return answer
+                if waiting is not None:
+                    waiting.beat(answer)
         except (EOFError, ConnectionError):
             death = self._death()
             raise ChildFailed(
@@ -158,12 +167,13 @@ class Child:
         except (pickle.PickleError, AttributeError, ImportError, IndexError, TypeError, ValueError) as error:
             raise ChildFailed(f"the plant's process sent rubbish: {type(error).__name__}: {error}") from None
 
-    def _wait(self, timeout_s: float, late: str) -> None:
-        """Wait for an answer, and look after the child until it comes."""
-        end = time.monotonic() + timeout_s
+    def _wait(self, end: float, late: str, waiting: Waiting | None) -> None:
+        """Wait for a message until ``end`` (s, monotonic clock), and look after the child until it comes."""
         while not self._pipe.poll(max(0.0, min(LOOK_S, end - time.monotonic()))):
             if time.monotonic() >= end:
                 raise ChildFailed(late)
+            if waiting is not None:
+                waiting.look()
             _forget_what_was_said(self._said)
             used_mb = most_memory_mb(self._process.pid)
             if used_mb > self._memory_mb:
@@ -244,6 +254,7 @@ def _serve(pipe: Connection) -> None:
     spec: PlantSpec = pipe.recv()
     try:
         plant = spec.make()
+        beating(plant, pipe.send)
         pipe.send(card_of(plant, spec))
     except Exception as error:
         pipe.send(_trouble(error))

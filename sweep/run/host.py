@@ -23,6 +23,7 @@ from ..measure.measure import measure
 from ..measure.rows import BatchResult, failed_batch
 from ..plan import Batch, Hosting
 from .child import DEFAULT_MEMORY_MB, Child, ChildFailed, child, scratch
+from .heartbeat import Waiting
 
 T = TypeVar("T")
 
@@ -31,6 +32,14 @@ Measure = Callable[[Batch], BatchResult]
 
 DEFAULT_TIMEOUT_S = 60.0
 """Wall time (s) that one shot may take, where the campaign does not say."""
+
+
+Say = Callable[[str], None]
+"""Takes a line of text; from any thread."""
+
+
+def silent(text: str) -> None:
+    """A line that nobody reads."""
 
 
 class Limits(NamedTuple):
@@ -54,8 +63,8 @@ class Host(Protocol):
             If the plant cannot be made.
         """
 
-    def measuring(self, n_workers: int) -> AbstractContextManager[Measure]:
-        """For a ``with`` block: `measure`, for so many threads at once."""
+    def measuring(self, n_workers: int, say: Say = silent) -> AbstractContextManager[Measure]:
+        """For a ``with`` block: `measure`, for so many threads at once; ``say`` takes lines on what is waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +77,7 @@ class LocalHost:
         return question(self.plant)
 
     @contextmanager
-    def measuring(self, n_workers: int) -> Iterator[Measure]:
+    def measuring(self, n_workers: int, say: Say = silent) -> Iterator[Measure]:
         yield partial(measure, self.plant)
 
 
@@ -85,10 +94,10 @@ class ChildHost:
             return asked.ask(question, timeout_s, late)
 
     @contextmanager
-    def measuring(self, n_workers: int) -> Iterator[Measure]:
+    def measuring(self, n_workers: int, say: Say = silent) -> Iterator[Measure]:
         with scratch() as folder:
             limits = Limits(self.timeout_s or DEFAULT_TIMEOUT_S, self._memory_mb)
-            lent = Children(self.spec, limits, n_workers, folder)
+            lent = Children(self.spec, limits, n_workers, folder, say)
             try:
                 yield lent.measure
             finally:
@@ -155,10 +164,12 @@ class Children:
         How many at once; they are started when first needed.
     folder : path
         For their temporary files.
+    say : callable
+        Takes a line on a batch that is waited for.
     """
 
-    def __init__(self, spec: PlantSpec, limits: Limits, n_children: int, folder: Path):
-        self._spec, self._limits, self._folder = spec, limits, folder
+    def __init__(self, spec: PlantSpec, limits: Limits, n_children: int, folder: Path, say: Say = silent):
+        self._spec, self._limits, self._folder, self._say = spec, limits, folder, say
         self._idle: queue.SimpleQueue[Child | None] = queue.SimpleQueue()
         for _ in range(n_children):
             self._idle.put(None)
@@ -199,7 +210,7 @@ class Children:
         late = f"{batch.n_shots} shots took longer than {timeout_s:g} s of wall time, plant.timeout_s for each"
         try:
             lent = lent or Child(self._spec, self._folder, self._limits.memory_mb)
-            return lent.ask(partial(_measured, batch), timeout_s, late)
+            return lent.ask(partial(_measured, batch), timeout_s, late, Waiting(batch, timeout_s, self._say))
         except ChildFailed:
             if lent is not None:
                 lent.kill()

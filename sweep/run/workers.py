@@ -17,7 +17,7 @@ from ...plant.registry import PlantCard, releases_gil
 from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
 from ..plan import Batch, Hosting, Plan
-from .host import host_at_hand, host_of
+from .host import Say, host_at_hand, host_of, silent
 
 RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
@@ -35,11 +35,12 @@ WORKERS_S = 30.0
 
 
 class Workers(NamedTuple):
-    """How many work at once, and as what; None: as suits the plant."""
+    """How many work at once, and as what (None: as suits the plant); ``say`` takes lines on what is waited for."""
 
     jobs: int
     backend: str | None
     scheduler: str | None
+    say: Say = silent
 
     def backend_for(self, plan: Plan, plant: Plant | PlantCard) -> str:
         """The backend that was asked for, else threads for plants that release the lock or run isolated."""
@@ -93,7 +94,7 @@ def _parallel(
     elif backend == "loky":
         yield from _in_processes(partial(_in_child, plan.hosting), batches, workers.jobs)
     else:
-        with host_at_hand(plant, plan.hosting).measuring(workers.jobs) as measure:
+        with host_at_hand(plant, plan.hosting).measuring(workers.jobs, workers.say) as measure:
             yield from _in_threads(lambda batch: (batch.key, measure(batch)), batches, workers.jobs)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from numba import njit
 
@@ -139,3 +141,16 @@ def compiled_lane_step(i, v, dt):
 
 def compiled_lanes():
     return plant_from_lanes(compiled_lane_step, 0j, **KEEP)
+
+
+def slow_branch(rest_s=0.05, every=2000):
+    """The branch, resting for a moment once in every so many steps: a device whose shots take long."""
+
+    def slow_step(state, v, dt):
+        i, steps = state
+        if steps % every == 0:
+            time.sleep(rest_s)
+        i, _ = branch_step(i, v, dt)
+        return (i, steps + 1), i
+
+    return plant_from_step(slow_step, (0j, 0), **KEEP)
