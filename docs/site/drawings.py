@@ -259,12 +259,100 @@ def uncertainty() -> Figure:
     return figure
 
 
+def turbine() -> Figure:
+    """The reference turbine from the rotor to the grid, and what its controls measure."""
+    figure, axes = sheet(2.75)
+    y = 1.95
+    axes.plot([0.4, 6.75], [y, y], color="#20242a", lw=1.8)
+    box(axes, 0.62, y, (0.8, 0.62), "rotor and\nPMSG", GREY)
+    box(axes, 1.78, y, (0.95, 0.62), "machine-side\nconverter", GREY)
+    box(axes, 2.8, y, (0.62, 0.62), "DC link\nC", GREY)
+    box(axes, 3.8, y, (0.9, 0.62), "grid-side\nconverter", GREY)
+    box(axes, 4.75, y, (0.45, 0.4), "Lc", GREY)
+    axes.plot([5.45, 5.45], [y, 1.5], color="#20242a", lw=1.5)
+    box(axes, 5.45, 1.28, (0.62, 0.44), "Rf, Cf", GREY)
+    axes.plot([5.45, 6.05], [y, y], "o", color="#20242a", ms=5)
+    axes.text(6.05, y + 0.16, "PCC", ha="center")
+    box(axes, 6.6, y, (0.62, 0.44), "source", GREY)
+    arrow(axes, (5.02, y + 0.32), (5.38, y + 0.32))
+    axes.text(5.2, y + 0.4, "i_L", ha="center")
+    box(axes, 3.8, 0.62, (1.9, 0.72), "PLL, DC voltage,\ncurrent control", BLUE)
+    arrow(axes, (3.8, 0.98), (3.8, y - 0.31), BLUE)
+    bend(axes, [(2.8, y - 0.31), (2.8, 0.78), (2.85, 0.78)], BLUE)
+    axes.text(2.72, 1.2, "v_dc", color=BLUE, ha="right")
+    bend(axes, [(6.05, y), (6.05, 0.62), (4.75, 0.62)], BLUE)
+    axes.text(6.0, 0.7, "v of the PCC, i_L", color=BLUE, ha="right")
+    box(axes, 1.3, 0.62, (1.5, 0.72), "torque law (MPPT),\ncurrent control", BLUE)
+    arrow(axes, (1.6, 0.98), (1.6, y - 0.31), BLUE)
+    return figure
+
+
+def recording() -> Figure:
+    """Where a device elsewhere is perturbed, what is recorded, and which way the current counts."""
+    figure, axes = sheet(2.6)
+    y = 1.55
+    axes.plot([0.5, 6.0], [y, y], color="#20242a", lw=1.8)
+    box(axes, 0.62, y, (0.8, 0.5), "source", GREY)
+    axes.plot([1.85], [y], "o", ms=26, mfc=PALE[ORANGE], mec=ORANGE, zorder=3)
+    axes.text(1.85, y, "~", ha="center", va="center", fontsize=15, color=ORANGE, zorder=4)
+    axes.text(1.85, y + 0.36, "the waveform\nthat inject wrote", ha="center", color=ORANGE, linespacing=1.2)
+    box(axes, 3.0, y, (0.75, 0.4), "R, X", GREY)
+    axes.plot([4.1], [y], "o", color="#20242a", ms=6)
+    axes.text(4.1, y + 0.2, "terminals", ha="center")
+    box(axes, 6.1, y, (1.3, 0.62), "your device", GREY)
+    arrow(axes, (4.45, y + 0.18), (5.25, y + 0.18), BLUE)
+    axes.text(4.85, y + 0.27, "load", ha="center", color=BLUE)
+    arrow(axes, (5.25, y - 0.18), (4.45, y - 0.18), RED)
+    axes.text(4.85, y - 0.4, "generator", ha="center", color=RED)
+    box(axes, 4.1, 0.5, (1.9, 0.5), "recorder: 3 voltages,\n3 currents", BLUE)
+    arrow(axes, (4.1, y - 0.06), (4.1, 0.76), BLUE)
+    arrow(axes, (3.12, 0.5), (2.55, 0.5), BLUE)
+    axes.text(2.48, 0.5, "identify  ->  y.parquet", ha="right", va="center", color=BLUE)
+    axes.text(
+        5.3, 0.5, "--direction says which way\nthe current was counted", va="center", color="#20242a", linespacing=1.3
+    )
+    return figure
+
+
+def black_boxes() -> Figure:
+    """Six ways in, one promise, one table."""
+    figure, axes = sheet(3.3)
+    ways = [
+        ("a step function", "python:"),
+        ("a Python object", "python:"),
+        ("a program", "process:"),
+        ("an FMU", "fmu:"),
+        ("a vendor's library", "cigre:"),
+        ("recordings", "identify"),
+    ]
+    heights = np.linspace(2.95, 0.35, len(ways))
+    for height, (name, word) in zip(heights, ways, strict=True):
+        colour = ORANGE if word == "identify" else GREY
+        box(axes, 0.98, height, (1.6, 0.4), name, colour)
+        if word != "identify":
+            bend(axes, [(1.78, height), (2.45, height), (2.9, 1.95 + 0.12 * (height - 1.95))])
+            axes.text(1.86, height + 0.05, word, color=GREY, fontsize=8.5)
+    box(axes, 3.65, 1.95, (1.5, 1.0), "one promise:\nsettle once,\nbranch many times", BLUE)
+    box(axes, 5.4, 1.95, (1.0, 0.6), "sweep", BLUE)
+    arrow(axes, (4.4, 1.95), (4.9, 1.95))
+    box(axes, 6.55, 1.15, (0.9, 0.7), "table\nY, cov", GREEN)
+    bend(axes, [(5.9, 1.95), (6.55, 1.95), (6.55, 1.5)])
+    bend(axes, [(1.78, heights[-1]), (6.55, heights[-1]), (6.55, 0.8)], ORANGE)
+    axes.text(
+        3.65, heights[-1] + 0.08, "identify: nothing is driven, and the same table comes out", color=ORANGE, ha="center"
+    )
+    return figure
+
+
 DRAWINGS: dict[str, Callable[[], Figure]] = {
     "two-by-two": two_by_two,
     "settle-and-branch": settle_and_branch,
     "measurement-port": measurement_port,
     "winding-number": winding_number,
     "uncertainty": uncertainty,
+    "turbine": turbine,
+    "recording": recording,
+    "black-boxes": black_boxes,
 }
 
 

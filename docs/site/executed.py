@@ -51,7 +51,7 @@ STEP = re.compile(
     re.DOTALL,
 )
 LEFT_OUT = "..."
-PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots)\b")
+PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots|sweeps)\b|took \d|\s*waiting\b")
 Step = tuple[str, str, str]
 """Kind (run, file, picture), name, and command, text or file."""
 
@@ -162,7 +162,7 @@ def run_session(steps: Sequence[Step], pictures: Path) -> list[str]:
 
 
 def _said(session: Session, command: str, may_fail: bool) -> str:
-    """What a command prints, but for lines of progress, which come by the clock."""
+    """What a command prints, but for lines of progress and of the time taken, which come by the clock."""
     said = session.run(command)
     if session.status and not may_fail:
         raise SessionFailed(f"$ {command}\n{said}exit status {session.status}")
