@@ -131,7 +131,7 @@ def test_verdict_is_never_wrong_under_noise() -> None:
 
 @pytest.mark.evidence
 def test_verdicts_of_500_near_critical_cases() -> None:
-    """The figures of docs/stability.md: verdicts and pole errors, noise-free, with 0.1 % and with 1 % noise."""
+    """The figures of docs/verdict-figures.md: verdicts and pole errors, noise-free, with 0.1 % and with 1 % noise."""
     rng = np.random.default_rng(11)
     cases = [near_critical(rng) for _ in range(500)]
     for noise in (0.0, 1e-3, 1e-2):
