@@ -283,11 +283,8 @@ def main(names: Sequence[str]) -> int:
     chosen = [Path(name).resolve() for name in names if name != "--check"] or pages()
     program = program_digest()
     with ThreadPoolExecutor(2) as pool:
-        fresh = {
-            path: content
-            for made in pool.map(lambda page: refreshed(page, program), chosen)
-            for path, content in made.items()
-        }
+        list(pool.map(lambda page: refreshed(page, program), chosen))
+    fresh = {path: now for page in chosen for path, now in refreshed(page, program).items()}  # pages edited meanwhile
     stale = {path: now for path, now in fresh.items() if not path.exists() or path.read_bytes() != now}
     for path, now in stale.items():
         print(f"{path.relative_to(TOP)} is not what its commands give now")
