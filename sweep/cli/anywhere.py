@@ -96,8 +96,8 @@ def on_grid(table: Table, power: Sequence[str] | None, grid: Grid, source_voltag
             lost.append(error)
     if not responses:
         raise lost[0]
-    for error in lost:
-        remark(str(error))
+    for one in lost:
+        remark(str(one))
     return replace(table, responses=tuple(responses), meta={**table.meta, "operating_points": []})
 
 

@@ -55,6 +55,8 @@ def merge(
     """Make one table of several of one device: operating points side by side, bands of one of them end to end."""
     from collections import Counter
 
+    import numpy as np
+
     from ...identify.merging import merged
     from ...identify.table.read import read_table
     from ...identify.table.write import write_table
@@ -63,7 +65,7 @@ def merge(
     check_suffix(output, ".parquet")
     responses, meta = merged([read_table(table) for table in tables], [table.name for table in tables])
     write_table(output, responses, meta)
-    report_statuses(output, dict(Counter(status for r in responses for status in list(map(str, r.status)))))
+    report_statuses(output, dict(Counter(str(status) for r in responses for status in np.asarray(r.status).tolist())))
 
 
 def _pairs(a: Table, b: Table) -> Iterator[tuple[FrequencyResponse, FrequencyResponse]]:

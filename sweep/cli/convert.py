@@ -31,6 +31,7 @@ def convert(
 ) -> None:
     """A network of pandapower or MATPOWER as a farm file, or a farm with its load flow as one of theirs."""
     check_new(output, force)
+    remarks: tuple[str, ...]
     if source.suffix.lower() == ".toml":
         text, remarks = _farm_as(source, output.suffix.lower()), ()
     else:

@@ -45,8 +45,9 @@ def report(
     text = page(content, stamped, profiles)
     with atomic_file(output) as file:
         file.write(text.encode())
-    written = {"report": output, "bytes": len(text.encode())}
-    remark(f"{output}: {written['bytes'] / 1e3:.0f} kB; open it in a browser")
+    size = len(text.encode())
+    written: dict[str, object] = {"report": output, "bytes": size}
+    remark(f"{output}: {size / 1e3:.0f} kB; open it in a browser")
     if printer is not None:
         content_of_paper = printed(page(content, stamped, profiles, printing=True), printer)
         with atomic_file(paper) as file:

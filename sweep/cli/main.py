@@ -30,9 +30,11 @@ from .telling import speaking
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 """`ClickException`: newer versions of typer bring a click of their own, older ones import it."""
 
+HELP = "Sweep a converter nobody can look into: its 2x2 sequence admittance, as a table."
+
 _PROGRAM: dict[str, Any] = {
     "name": "seqsweep",
-    "help": "Sweep a converter nobody can look into: its 2x2 sequence admittance, as a table.",
+    "help": HELP,
     "no_args_is_help": True,
     "add_completion": False,
     "context_settings": {"help_option_names": ["-h", "--help"]},

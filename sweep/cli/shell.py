@@ -52,7 +52,9 @@ def completion(
 
 def man() -> None:
     """Print the manual page, for man and for packagers (roff)."""
-    text = manual_page()
+    from importlib.metadata import version
+
+    text = manual_page(version("seqsweep"))
     result(text.rstrip("\n"), lambda: {"page": text})
 
 
@@ -249,15 +251,13 @@ def _first(text: str) -> str:
 # The manual page -----------------------------------------------------------------------------------------------------
 
 
-def manual_page() -> str:
+def manual_page(version: str) -> str:
     """The manual page in roff, section 1."""
-    from importlib.metadata import version
-
-    from .main import app
+    from .main import HELP
 
     commands = specs()
     lines = [
-        f'.TH SEQSWEEP 1 "" "seqsweep {version("seqsweep")}" "User Commands"',
+        f'.TH SEQSWEEP 1 "" "seqsweep {version}" "User Commands"',
         ".SH NAME",
         "seqsweep \\- sequence admittance of grid converters, and whether they are stable",
         ".SH SYNOPSIS",
@@ -265,7 +265,7 @@ def manual_page() -> str:
         ".I COMMAND",
         "[\\fIARGUMENTS\\fR] [\\fIOPTIONS\\fR]",
         ".SH DESCRIPTION",
-        _roff(str(app.info.help)),
+        _roff(HELP),
         "Results go to standard output, everything else to standard error.",
         ".SH COMMANDS",
         *(line for spec in commands for line in _roff_command(spec)),
