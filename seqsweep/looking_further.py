@@ -12,8 +12,10 @@ from .identify.response import FrequencyResponse
 from .identify.surrogate.store import surrogate_of
 from .identify.surrogate.surrogate import Surrogate
 from .identify.table.read import Table, read_table
+from .identify.views.html import MOST, html_table
 from .plant.errors import SeqsweepError
 from .sweep.bank.judge import judge_bank
+from .sweep.bank.report import report_text, summary
 from .sweep.farm_sweeps import gain_advice, power_advice
 from .tables import as_table
 from .tuning.bank.entries import check_single, read_bank
@@ -51,9 +53,28 @@ def metrics(y: FrequencyResponse, behind: str | None = None) -> Metrics:
     return metrics_of(y, (bases["rated_voltage_v"], bases["rated_power_va"]), grid)
 
 
-def judge(
-    y: FrequencyResponse | Table, grids: str | Path, *, elements: int = 5, jobs: int | None = None
-) -> list[PairVerdict]:
+class Verdicts(list[PairVerdict]):
+    """Pairs of grid and operating point, the worst first; a list that shows itself in a few lines."""
+
+    f1_hz: float = 50.0
+
+    def __repr__(self) -> str:
+        return report_text(self, self.f1_hz, 80) if self else "[]"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (v.grid_id, v.op_id, v.verdict, _short(v.probability), _short(v.margin_m), _short(v.damping))
+            for v in self[:MOST]
+        ]
+        heads = ("grid", "operating point", "verdict", "P(stable)", "m", "damping ratio")
+        return html_table(summary(self, self.f1_hz) if self else "no pairs", heads, rows, len(self))
+
+
+def _short(value: float | None) -> str:
+    return "\N{EN DASH}" if value is None else f"{value:.4g}"
+
+
+def judge(y: FrequencyResponse | Table, grids: str | Path, *, elements: int = 5, jobs: int | None = None) -> Verdicts:
     """Every operating point on every grid of a bank, the worst first.
 
     Parameters
@@ -72,7 +93,7 @@ def judge(
     check_single(bank, table.responses[0].f1_hz)
     for remark in bank.remarks:
         warnings.warn(remark, stacklevel=2)
-    return judge_bank(
+    found = judge_bank(
         table.responses,
         table.meta.get("bases", {}),
         "",  # nothing is kept on the disk, so nothing need be told apart
@@ -81,6 +102,9 @@ def judge(
         jobs=jobs or os.cpu_count() or 1,
         elements=elements,
     )
+    verdicts = Verdicts(found)
+    verdicts.f1_hz = table.meta["f1_hz"]
+    return verdicts
 
 
 def farm(document: str | Path, out: Sequence[str] = ()) -> Farm:

@@ -174,6 +174,16 @@ class Metrics:
     passivity_std: np.ndarray
     passive_bands_hz: tuple[tuple[float, float], ...]
 
+    def __repr__(self) -> str:
+        from .metrics_report import format_report
+
+        return format_report(self)
+
+    def _repr_html_(self) -> str:
+        from .metrics_report import as_html
+
+        return as_html(self)
+
 
 class _Rows(NamedTuple):
     """Usable rows by nu: Y_dq (n, 2, 2; pu), the covariance (n, 8, 8; pu) of Y_pn, and whether f < f1."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..identify.files import write_json as write_whole
+from ..identify.views.html import html_table
 from .intervals import NORMAL_95
 from .layout import labelled, wrapped
 from .metrics import MISFIT_LIMIT, SUB_TRANSIENT_HZ, Least, Metrics, Response, Swing
@@ -38,6 +39,18 @@ def format_report(m: Metrics, width: int = 80) -> str:
     ]
     head = wrapped(f"{m.op_id}: {point_text(m)}, {where}", width)
     return "\n".join([*head, labelled(rows, width)])
+
+
+def as_html(m: Metrics) -> str:
+    """One operating point as a small HTML table, for a notebook."""
+    rows = [
+        ("least |dP/dtheta|", _least_text(m.p_stiffness, "pu/rad")),
+        ("least |dQ/dV|", _least_text(m.q_stiffness, "pu/pu")),
+        ("least voltage stiffness", _least_text(m.voltage_stiffness_db, "dB")),
+        *((name.strip(), text) for name, text in _swing_rows(m.swing)),
+        ("passive where |f - f1| is", _bands_text(m)),
+    ]
+    return html_table(f"{m.op_id}: {point_text(m)}", ("metric", "value"), rows)
 
 
 def point_text(m: Metrics) -> str:

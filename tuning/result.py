@@ -19,6 +19,7 @@ from .gain import GainSearch, SignedSearch
 from .intervals import Interval
 from .margins import LocusMargins, Participation, StableRange
 from .objections import Decision
+from .result_values import fit_json, interval_json, stability_json
 from .siso import Grid, SeriesRL
 from .verdict import Stability
 
@@ -151,12 +152,12 @@ class TuningResult:
     @property
     def worst(self) -> PointTuning:
         """The operating point in greatest need: unstable before undecided before stable, then by the smallest m."""
-        return min(self.points, key=_need)
+        return min(self.points, key=need)
 
     @property
     def worst_fitted(self) -> PointTuning | None:
         """The entry in greatest need among those that have a fit, which a picture needs; None where none has."""
-        return min((point for point in self.points if point.stability is not None), key=_need, default=None)
+        return min((point for point in self.points if point.stability is not None), key=need, default=None)
 
     def point(self, op_id: str, scale: float | None = None) -> PointTuning:
         """The operating point of that name, at that scale or at its worst; SeqsweepError where there is none."""
@@ -166,12 +167,17 @@ class TuningResult:
         if not found:
             known = ", ".join(f"{point.scale:g}" for point in named)
             raise SeqsweepError(f"operating point {op_id!r} was not tuned at scale {scale:g}; its scales are {known}")
-        return min(found, key=_need)
+        return min(found, key=need)
 
     def __repr__(self) -> str:
-        from .text import format_table
+        from .text import format_short
 
-        return format_table(self)
+        return format_short(self)
+
+    def _repr_html_(self) -> str:
+        from .text import as_html
+
+        return as_html(self)
 
     def __getitem__(self, op_id: str) -> PointTuning:
         return self.point(op_id)
@@ -277,7 +283,7 @@ def defeated(result: TuningResult, point: PointTuning, reason: str) -> TuningRes
     return replace(result, points=tuple(settled if p is point else p for p in result.points))
 
 
-def _need(point: PointTuning) -> tuple[int, float]:
+def need(point: PointTuning) -> tuple[int, float]:
     order = ("unstable", "undecided", "stable")
     return order.index(point.verdict), np.inf if point.margin_m is None else point.margin_m
 
@@ -343,7 +349,7 @@ def _entry_json(point: PointTuning, required: float) -> dict[str, Any]:
         "margin_m_with_k": point.margin_m_with_k,
         "reached": point.reached,
         "with_k": with_k,
-        "fit": _fit_json(point.model),
+        "fit": fit_json(point.model),
         "warnings": list(point.warnings),
     }
     return {**_finite(entry), "missing": _missing(entry, point)}
@@ -355,14 +361,14 @@ def _judgement_json(point: PointTuning) -> dict[str, Any]:
         "verdict": point.verdict,
         "reason": point.reason,
         "probability": point.probability,
-        **_stability_json(point.stability),
+        **stability_json(point.stability),
         "margin_m": point.margin_m,
-        **_interval_json("margin_m", point.margin_interval),
+        **interval_json("margin_m", point.margin_interval),
         "critical_crossing_hz": None if crossing is None else crossing.f_hz,
         "resonance_hz": None if point.resonance_hz is None else list(point.resonance_hz),
         "critical_scale": point.critical_scale,
         "stable_scales": None if point.stable_range is None else list(point.stable_range),
-        **_interval_json("critical_scale", point.scale_interval),
+        **interval_json("critical_scale", point.scale_interval),
     }
 
 
@@ -436,65 +442,3 @@ def _why_none(key: str, point: PointTuning) -> str:
     if key in ("k", "k_basis") and point.f_r_hz is not None:
         return _NO_FORMULA if point.reached is None else _NO_GAIN
     return _WHY.get(key, "not known for this device and grid")
-
-
-def _interval_json(name: str, interval: Interval | None) -> dict[str, Any]:
-    if interval is None:
-        return {f"{name}_std": None, f"{name}_interval": None}
-    return {f"{name}_std": interval.std, f"{name}_interval": [interval.low, interval.high]}
-
-
-def _stability_json(stability: Stability | None) -> dict[str, Any]:
-    if stability is None:
-        return {"winding": None, "n_open_loop_unstable": None, "poles": [], "bode": None, "extrapolation": None}
-    winding = stability.winding
-    return {
-        "winding": winding.number,
-        "n_open_loop_unstable": stability.n_open_loop_unstable,
-        "poles": _poles_json(stability),
-        "bode": {
-            "stable": stability.bode_stable,
-            "note": stability.bode_note,
-            "crossings": [crossing._asdict() for crossing in stability.crossings],
-        },
-        "extrapolation": {
-            "text": stability.extrapolation,
-            "below_deg": winding.inside_deg,
-            "above_deg": winding.beyond_deg,
-        },
-    }
-
-
-def _poles_json(stability: Stability) -> list[dict[str, Any]]:
-    """Upper halves of the pairs, dq frame; "kind" is resonance (the critical one), slow or other."""
-    loop = stability.closed_loop
-    slow = set(loop.slow.tolist())
-    kinds = dict.fromkeys(slow, "slow") | ({loop.critical: "resonance"} if loop.critical is not None else {})
-    return [
-        {
-            "re_rad_s": float(pole.real),
-            "im_rad_s": float(pole.imag),
-            "re_std_rad_s": float(std.real),
-            "im_std_rad_s": float(std.imag),
-            "re_im_cov_rad2_s2": float(loop.covariance[k, 0, 1]),
-            "f_hz": float(loop.f_hz[k]),
-            "damping": float(loop.damping[k]),
-            "kind": kinds.get(k, "other"),
-        }
-        for k, (pole, std) in enumerate(zip(loop.poles, loop.std, strict=True))
-    ]
-
-
-def _fit_json(model: RationalModel | None) -> dict[str, Any] | None:
-    if model is None:
-        return None
-    upper = model.poles.imag >= 0.0
-    return {
-        "order": model.order,
-        "bic": model.bic,
-        "residual": model.residual,
-        "weighting": model.weighting,
-        "poles": [[float(p.real), float(p.imag)] for p in model.poles[upper]],
-        "ranks": model.ranks[upper].tolist(),
-        "remarks": list(model.remarks),
-    }

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from math import floor, log10
 
 from ..identify.uncertainty import NORMAL_95
+from ..identify.views.html import MOST, html_table
 from .intervals import Interval
 from .layout import fitted_table, left_out, wrapped
-from .result import PointTuning, TuningResult, mode_with_k
+from .result import PointTuning, TuningResult, mode_with_k, need
 
 CERTAIN = 0.999
 """A verdict with this probability, or as improbable as the rest, is called certain."""
@@ -36,6 +38,26 @@ def format_table(result: TuningResult, width: int = 80) -> str:
     for remark in remarks:
         lines += wrapped(remark, width)
     return "\n".join(lines)
+
+
+def format_short(result: TuningResult, width: int = 80) -> str:
+    """`format_table` of the entries in greatest need, where there are many."""
+    left = len(result.points) - MOST
+    if left <= 0:
+        return format_table(result, width)
+    return f"{format_table(_neediest(result), width)}\n... and {left} more entries that are in less need"
+
+
+def as_html(result: TuningResult) -> str:
+    """The entries in greatest need as a small HTML table, for a notebook."""
+    shown = _neediest(result).points if len(result.points) > MOST else result.points
+    rows = [_row(point, result) for point in shown]
+    heads = [name for name in (rows[0] if rows else {}) if any(row[name].strip("- ") for row in rows)]
+    return html_table(_head(result), heads, [[row[name] for name in heads] for row in rows], len(result.points))
+
+
+def _neediest(result: TuningResult) -> TuningResult:
+    return replace(result, points=tuple(sorted(result.points, key=need)[:MOST]))
 
 
 def _head(result: TuningResult) -> str:

@@ -137,6 +137,13 @@ class Surrogate:
     terminal: Fitted | None
     meta: Mapping[str, Any]
 
+    def __repr__(self) -> str:
+        spans = (
+            f"{axis} {low:.4g} to {high:.4g}" if high > low else f"{axis} {low:.4g}"
+            for axis, low, high in zip(AXES, self.region.low, self.region.high, strict=True)
+        )
+        return f"<Surrogate of {len(self.points)} operating points, {len(self.nu_hz)} frequencies: {', '.join(spans)}>"
+
     def evaluate(self, points: np.ndarray) -> Evaluation:
         """Y at operating points (p, 3) inside the region, in the dq frame.
 

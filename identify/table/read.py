@@ -79,6 +79,11 @@ class Table:
 
         return table_in_a_line(self.responses)
 
+    def _repr_html_(self) -> str:
+        from ..views.words import table_as_html
+
+        return table_as_html(self.responses)
+
     def to_dataframe(self) -> pd.DataFrame:
         """A pandas frame of all operating points, with the index (``op_id``, ``f_hz``)."""
         import pandas as pd

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..table.format import ELEMENTS
 from ..uncertainty import relative_uncertainty
+from .html import MOST, html_table
 
 if TYPE_CHECKING:
     from ..response import FrequencyResponse
@@ -76,3 +77,23 @@ def table_in_a_line(responses: Any) -> str:
     n = len(lines)
     shown = lines if n <= 2 * ENDS + 1 else [*lines[:ENDS], "  ...", *lines[-ENDS:]]
     return "\n".join([f"<Table of {n} operating point{'s' if n != 1 else ''}", *shown]) + ">"
+
+
+def table_as_html(responses: Any) -> str:
+    """A table as one row for every operating point, the first ones."""
+    rows = [
+        (
+            str(r.meta["op_id"]),
+            _known(r.meta.get("active_power_mw")),
+            _known(r.meta.get("terminal_voltage_pu")),
+            facts_of(r),
+        )
+        for r in responses[:MOST]
+    ]
+    n = len(responses)
+    title = f"Table of {n} operating point{'s' if n != 1 else ''}"
+    return html_table(title, ("operating point", "P (MW)", "|v| (pu)", "rows"), rows, n)
+
+
+def _known(value: float | None) -> str:
+    return "\N{EN DASH}" if value is None else f"{value:.4g}"

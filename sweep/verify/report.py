@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...identify.files import write_json as write_whole
+from ...identify.views.html import html_table
 from ...plant.damping.events import CircuitStep, Event, Fault
 from ...tuning.layout import wrapped
 from .reading import RunReport, WindowReport
@@ -86,6 +87,13 @@ def format_report(result: Verification, width: int = 80) -> str:
     lines += _columns([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
     lines += [line for remark in result.remarks for line in ("", *wrapped(f"note: {remark}", width))]
     return "\n".join(lines)
+
+
+def as_html(result: Verification) -> str:
+    """How both runs went as a small HTML table, for a notebook."""
+    without, damped = result.reports
+    facts = _facts(without, damped, result.settings.threshold)
+    return html_table(_headline(result), ("", "without damping control", "with"), facts)
 
 
 _WINDOW_HEAD = ("t (s)", "Hz", "r", "1/s", "MW", "|", "Hz", "r", "1/s", "MW")

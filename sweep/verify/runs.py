@@ -46,6 +46,11 @@ class Verification:
 
         return format_report(self)
 
+    def _repr_html_(self) -> str:
+        from .report import as_html
+
+        return as_html(self)
+
     def plot(self, ax: Any = None) -> Any:
         """Power, resonance current, r(t) and frequency of both runs, in matplotlib axes (4,), which are returned."""
         from .figure import shown

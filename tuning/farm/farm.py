@@ -40,6 +40,16 @@ class Farm:
     system: System
     judgement: FarmVerdict
 
+    def __repr__(self) -> str:
+        from .result import text_of
+
+        return text_of(self)
+
+    def _repr_html_(self) -> str:
+        from .result import as_html
+
+        return as_html(self)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """Devices whose terminal voltage is not that of their sweep."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...identify.views.html import MOST, html_table
 from .advice_text import advice_json
 from .dampers import Damper
 from .doubt import doubt_of
@@ -188,6 +189,26 @@ def text_of(farm: Farm) -> str:
     if len(judgement.modes) > _SHOWN:
         lines += ["", f"{len(judgement.modes) - _SHOWN} further modes are in the JSON (-o)."]
     return "\n".join([*lines, *(f"warning: {text}" for text in farm.warnings)])
+
+
+def as_html(farm: Farm) -> str:
+    """Verdict and modes as a small HTML table, for a notebook."""
+    judgement, f1 = farm.judgement, farm.entry.f1_hz
+    rows = []
+    for mode in judgement.modes[:MOST]:
+        nu = mode.pole.imag / (2.0 * np.pi)
+        most = ranked(list(mode.shares))[:3]
+        rows.append(
+            (
+                f"{f1 - nu:.4g}/{f1 + nu:.4g}",
+                f"{mode.pole.real:+.4g}",
+                f"{-100.0 * mode.pole.real / abs(mode.pole):.2f}",
+                ", ".join(f"{farm.system.units[k].name} {100.0 * mode.shares[k]:.0f} %" for k in most),
+            )
+        )
+    title = f"{farm.entry.name}, {len(farm.units)} devices: {judgement.verdict}, {judgement.reason}"
+    heads = ("mode (Hz)", "real part (1/s)", "damping (%)", "takes part")
+    return html_table(title, heads, rows, len(judgement.modes))
 
 
 def _flow_lines(farm: Farm) -> list[str]:
