@@ -27,7 +27,7 @@ from ...tuning.tune import Device, fitted
 from ..run import shards
 from .following import Following
 
-VERSION = "1"
+VERSION = "2"
 """Of the judgement: other numbers for the same pair are another version."""
 
 CHUNK = 25

@@ -23,6 +23,7 @@ def report_text(verdicts: Sequence[PairVerdict], f1_hz: float, width: int) -> st
     more = [f"... and {len(verdicts) - SHOWN} more: -o judge.parquet holds them all"] if len(verdicts) > SHOWN else []
     remarks = (
         *left_out(table.dropped, "-o judge.parquet"),
+        *_regions(verdicts),
         *_settling(verdicts),
         *_edges(verdicts),
         *_warnings(verdicts),
@@ -98,6 +99,27 @@ def _settling(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     """What would settle the undecided pairs."""
     for v in [v for v in verdicts if v.status == "ok" and v.verdict == "undecided"][:3]:
         yield f"{v.grid_id} at {v.op_id} is undecided: {v.reason}"
+
+
+def _regions(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
+    """How far the edge is from regions as a whole; m, mode and scale are those of their member."""
+    for v in [v for v in verdicts if v.region_distance is not None][:3]:
+        text = _undecided_region(v) if v.verdict == "undecided" else _decided_region(v)
+        yield f"{v.grid_id} at {v.op_id}, {text}"
+
+
+def _decided_region(v: PairVerdict) -> str:
+    limit = "without a limit in reach" if v.region_growth is None else f"to {_number(v.region_growth)} of its extent"
+    return (
+        f"over the whole region: det(1 + Y Z) stays {_number(v.region_distance)} away from zero (1: no grid at all); "
+        f"about its member the region may grow {limit}"
+    )
+
+
+def _undecided_region(v: PairVerdict) -> str:
+    if not v.region_growth:
+        return "no region about its member, however small, is decided"
+    return f"the region about its member is decided within {_number(v.region_growth)} of its extent"
 
 
 def _edges(verdicts: Sequence[PairVerdict]) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Any
 from ...identify.files import atomic_file
 from ...tuning.bank.judgement import PairVerdict
 
-FORMAT, VERSION = "seqsweep-judge", "1.0.0"
+FORMAT, VERSION = "seqsweep-judge", "1.1.0"
 
 COLUMNS: dict[str, tuple[str, str, str]] = {
     "grid_id": ("string", "", "the grid: file, table or member of the family"),
@@ -31,6 +31,8 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "re_std_rad_s": ("float64", "rad/s", "standard error of its real part, device and grid together"),
     "damping": ("float64", "1", "damping ratio of the deciding mode, -Re/|pole|"),
     "critical_scale": ("float64", "1", "multiplier of the grid's impedance at the edge of stability"),
+    "region_distance": ("float64", "1", "of a region: distance of zero from det(1 + Y Z) of all members, 1: no grid"),
+    "region_growth": ("float64", "1", "of a region: multiple of its extent at which it is no longer decided"),
     "missing_f_min_hz": ("float64", "Hz", "band in which the grid was to be measured, lower end"),
     "missing_f_max_hz": ("float64", "Hz", "the same, upper end"),
     "elements": ("elements", "", "critical value of each element, the others unchanged"),

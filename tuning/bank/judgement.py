@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ import numpy as np
 from ...identify.fit.rational import RationalModel
 from ...plant.errors import SeqsweepError
 from ..grid_check import grid_warnings
+from ..grids.exclusion import critical_growth, exclusion
 from ..grids.promise import Grid
-from ..grids.regions import RegionGrid, exclusion
+from ..grids.regions import RegionGrid
 from ..poles import ClosedLoop
 from ..tune import Device
 from ..verdict import Stability, judge
@@ -48,6 +49,10 @@ class PairVerdict:
         Multiplier of the whole impedance at the edge.
     elements : tuple of ElementEdge
         Critical value of each element, where the grid has any and they were asked for.
+    region_distance : float or None
+        Of a region: least distance of zero from the values of det(1 + Y Z) over all its members; 1 for no grid.
+    region_growth : float or None
+        Of a region: multiple of its extent about the member at which it is no longer decided; None beyond reach.
     missing_hz : (float, float) or None
         Band of f that was to be measured of the grid.
     parameters : mapping
@@ -73,6 +78,8 @@ class PairVerdict:
     damping: float | None = None
     critical_scale: float | None = None
     elements: tuple[ElementEdge, ...] = ()
+    region_distance: float | None = None
+    region_growth: float | None = None
     missing_hz: tuple[float, float] | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -102,20 +109,15 @@ def _judged(
 ) -> PairVerdict:
     member = grid.member if isinstance(grid, RegionGrid) else grid
     stability = judge(model, member, device.rows, device.anchor)
-    verdict, reason, missing = stability.verdict, stability.reason, None
-    if isinstance(grid, RegionGrid) and verdict != "undecided":
-        found = exclusion(model, grid)
-        if not found.excluded:
-            verdict, reason = "undecided", f"one member of the region is {verdict}, but {found.reason}"
+    whole = _of_region(model, grid, stability) if isinstance(grid, RegionGrid) else {}
     loop = stability.closed_loop
-    missing = _missing(member, loop, stability)
     at = deciding_mode(loop)
     notes = tuple(getattr(member, "notes", ()))
-    return PairVerdict(
+    found = PairVerdict(
         grid_id=entry.grid_id,
         op_id=device.op_id,
-        verdict=verdict,
-        reason=reason,
+        verdict=stability.verdict,
+        reason=stability.reason,
         probability=stability.probability,
         grid=grid.name if isinstance(grid, RegionGrid) else grid.label,
         r_ohm=member.at_f1.real,
@@ -128,10 +130,26 @@ def _judged(
         damping=None if at is None else float(loop.damping[at]),
         critical_scale=scale_at_the_edge(model, member, loop.n_unstable),
         elements=element_edges(model, member, loop.n_unstable == 0) if elements else (),
-        missing_hz=missing,
+        missing_hz=_missing(member, loop, stability),
         parameters=entry.parameters,
         warnings=(*notes, *grid_warnings(device.response.meta, bases, member)),
     )
+    return replace(found, **whole)
+
+
+def _of_region(model: RationalModel, grid: RegionGrid, stability: Stability) -> dict[str, Any]:
+    """What all members of a region have in common, where the one that was judged is decided."""
+    if stability.verdict == "undecided":
+        return {}
+    found = exclusion(model, grid)
+    margin = {"region_distance": found.distance, "region_growth": critical_growth(model, grid)}
+    if found.excluded:
+        return margin
+    return {
+        **margin,
+        "verdict": "undecided",
+        "reason": f"one member of the region is {stability.verdict}, but {found.reason}",
+    }
 
 
 def deciding_mode(loop: ClosedLoop) -> int | None:

@@ -1,33 +1,25 @@
 """Polygons of Z as operators give them: a region of the impedance plane for each band of frequencies.
 
-No corner proves anything by itself. What does: det(1 + Y Z) = (1 + Ypp z1)(1 + Ynn z2) - Ypn Ynp z1 z2 is affine in
-each of the two scalars, z1 = z(f) and z2 = conj z(2 f1 - f) taken independently of each other, so that its values over
-two polygons lie in the convex hull of those at pairs of corners. If zero is outside that hull at every frequency, no
-member of the region is on the edge of stability, and as many modes are unstable on all of them as on any one.
+A region holds a grid by its impedance at every frequency, and each frequency by itself: what that proves is the
+matter of `exclusion`. One member, a grid inside all of them, is judged as any grid is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...identify.fit.rational import RationalModel, evaluate, evaluate_pn, spread
-from ...identify.frames import T_INVERSE, T
 from .errors import GridError
-from .promise import Grid
+from .hull import passive_part, zero_outside
+from .promise import Grid, own_impedance
 from .rational import RationalGrid
 from .series import SeriesRL
 from .tables import ZTable, grid_of_table
 
 CIRCLE_CORNERS = 24
-STANDARD_ERRORS = 2.576
-"""What the device's errors may do at one frequency: 99.5 % to one side."""
-
-_MOST_HALVINGS = 14
 
 
 class Region(NamedTuple):
@@ -50,34 +42,25 @@ class RegionGrid:
         A grid inside all of them, by which the whole is decided.
     name : str
         For people.
+    growth : float
+        Multiplies the extent of the regions about the member.
     """
 
     regions: tuple[Region, ...]
     member: Grid
     name: str = ""
+    growth: float = 1.0
 
     def corners_at(self, f_hz: float) -> np.ndarray | None:
         """Corners (k,) of what is allowed at ``f_hz`` above zero; None where no region says anything."""
         found = [r.corners for r in self.regions if r.f_min_hz <= f_hz <= r.f_max_hz]
-        return np.concatenate(found) if found else None
-
-
-class Exclusion(NamedTuple):
-    """Whether zero is outside the set of det(1 + Y Z).
-
-    Attributes
-    ----------
-    excluded : bool
-        At every |f - f1| that matters.
-    nu_hz : float
-        Where it is not, or where it is the nearest (Hz).
-    reason : str
-        Empty where it is excluded.
-    """
-
-    excluded: bool
-    nu_hz: float
-    reason: str
+        if not found:
+            return None
+        corners = np.concatenate(found)
+        if self.growth == 1.0:
+            return corners
+        centre = own_impedance(self.member, f_hz)
+        return passive_part(centre + self.growth * (corners - centre))
 
 
 # Reading -------------------------------------------------------------------------------------------------------------
@@ -131,13 +114,13 @@ def _corners(entry: Mapping[str, Any]) -> np.ndarray:
         r, x, radius = entry["circle"]
         turn = 2.0 * np.pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
         around = complex(r, x) + radius / np.cos(np.pi / CIRCLE_CORNERS) * np.exp(1j * turn)
-        return np.maximum(around.real, 0.0) + 1j * around.imag
+        return passive_part(around)
     if "magnitude_ohm" in entry:
         (near, far), (low, high) = entry["magnitude_ohm"], np.radians(entry["angle_deg"])
         angles = np.linspace(low, high, 9)
         outer = far / np.cos((high - low) / 16.0)
         around = np.concatenate([near * np.exp(1j * angles[[0, -1]]), outer * np.exp(1j * angles)])
-        return np.maximum(around.real, 0.0) + 1j * around.imag
+        return passive_part(around)
     (r0, r1), (x0, x1) = entry["r_ohm"], entry["x_ohm"]
     return np.array([complex(r0, x0), complex(r0, x1), complex(r1, x0), complex(r1, x1)])
 
@@ -195,126 +178,4 @@ def _outside(member: Grid, regions: Sequence[Region]) -> float | None:
 
 def _holds(corners: np.ndarray, z: complex) -> bool:
     """Whether a point is in the convex hull of corners, to rounding."""
-    return not _zero_outside(corners - z)[0] or bool(np.abs(corners - z).min() < 1e-9 * abs(z))
-
-
-# Zero outside the hull -----------------------------------------------------------------------------------------------
-
-
-class _Set(NamedTuple):
-    """det(1 + Y Z) at all pairs of corners for one |f - f1|.
-
-    Attributes
-    ----------
-    nu_hz : float
-        |f - f1| (Hz).
-    values : (k,) complex
-        At the pairs.
-    margin : float
-        Distance of zero from their hull less what the device's errors may do; not above zero where it is not excluded.
-    problem : str
-        Why zero is not excluded; empty where it is.
-    """
-
-    nu_hz: float
-    values: np.ndarray
-    margin: float
-    problem: str
-
-
-def exclusion(model: RationalModel, regions: RegionGrid) -> Exclusion:
-    """Whether no member of the regions puts a mode on the axis, at any |f - f1| where the device is not passive.
-
-    A device that is passive at a frequency cannot oscillate there with a passive grid, whatever its impedance.
-    """
-    sets = [_set_at(model, regions, float(nu)) for nu in _active(model)]
-    if not sets:
-        return Exclusion(True, 0.0, "")
-    for before, after in pairwise(sets):
-        bad = _between(model, regions, before, after)
-        if bad is not None:
-            return Exclusion(False, bad.nu_hz, bad.problem)
-    return Exclusion(True, min(sets, key=lambda each: each.margin).nu_hz, "")
-
-
-def _active(model: RationalModel) -> np.ndarray:
-    """|f - f1| (Hz) over the bands where the device is not passive for certain, close together."""
-    end = float(model.nu_hz[-1])
-    nu = np.unique(np.concatenate([[0.0], np.geomspace(1e-2, end, 500), np.linspace(0.0, end, 400), model.nu_hz]))
-    y = evaluate(model, 2j * np.pi * nu)
-    passive = np.linalg.eigvalsh((y + np.swapaxes(y.conj(), 1, 2)) / 2.0)[:, 0] > 1e-6 * np.linalg.norm(y, axis=(1, 2))
-    active = np.flatnonzero(~passive)
-    if len(active) == 0:
-        return np.zeros(0)
-    return nu[max(active[0] - 1, 0) : min(active[-1] + 2, len(nu))]
-
-
-def _between(
-    model: RationalModel, regions: RegionGrid, before: _Set, after: _Set, halvings: int = _MOST_HALVINGS
-) -> _Set | None:
-    """The first set from ``before`` to ``after`` whose hull holds zero; None if none does.
-
-    Sets whose values move by less than half the margin have none between them. What still moves when the interval is
-    a hair's breadth is the end of one region and the beginning of the next.
-    """
-    for each in (before, after):
-        if each.problem:
-            return each
-    same = len(before.values) == len(after.values)
-    near = same and np.abs(after.values - before.values).max() < 0.5 * min(before.margin, after.margin)
-    if near or halvings == 0:
-        return None
-    middle = _set_at(model, regions, (before.nu_hz + after.nu_hz) / 2.0)
-    left = _between(model, regions, before, middle, halvings - 1)
-    return left if left is not None else _between(model, regions, middle, after, halvings - 1)
-
-
-def _set_at(model: RationalModel, regions: RegionGrid, nu_hz: float) -> _Set:
-    """The values at all pairs of corners, and whether zero is outside their hull for certain."""
-    f1 = model.f1_hz
-    first, mirror = regions.corners_at(f1 + nu_hz), regions.corners_at(abs(f1 - nu_hz))
-    if first is None or mirror is None:
-        where = f1 + nu_hz if first is None else abs(f1 - nu_hz)
-        problem = f"no region is given at {where:.4g} Hz, where the device is not passive"
-        return _Set(nu_hz, np.zeros(0, dtype=complex), 0.0, problem)
-    z1, z2 = (each.ravel() for each in np.meshgrid(first, _of_mirror(mirror, nu_hz, f1)))
-    y = evaluate_pn(model, np.array([f1 + nu_hz]))[0]
-    values = (1.0 + y[0, 0] * z1) * (1.0 + y[1, 1] * z2) - y[0, 1] * y[1, 0] * z1 * z2
-    _, distance = _zero_outside(values)
-    margin = distance - STANDARD_ERRORS * _standard_error(model, nu_hz, y, z1, z2)
-    place = f"{f1 - nu_hz:.4g}/{f1 + nu_hz:.4g} Hz"
-    problem = "" if margin > 0.0 else f"at {place} some members of the region may put a mode on the axis"
-    return _Set(nu_hz, values, margin, problem)
-
-
-def _of_mirror(corners: np.ndarray, nu_hz: float, f1_hz: float) -> np.ndarray:
-    """z at the signed frequency nu - f1 (Hz) from the region at its magnitude."""
-    return corners if nu_hz >= f1_hz else corners.conj()
-
-
-def _standard_error(model: RationalModel, nu_hz: float, y: np.ndarray, z1: np.ndarray, z2: np.ndarray) -> float:
-    """Largest standard error of the values: d det = tr(adj(1 + Y Z) dY Z)."""
-    weight = np.empty((len(z1), 2, 2), dtype=complex)
-    weight[:, 0, 0], weight[:, 1, 1] = (1.0 + y[1, 1] * z2) * z1, (1.0 + y[0, 0] * z1) * z2
-    weight[:, 0, 1], weight[:, 1, 0] = -y[1, 0] * z1 * z2, -y[0, 1] * z1 * z2
-    in_dq = T.T @ weight @ T_INVERSE.T
-    s = np.full(len(z1), 2j * np.pi * nu_hz)
-    return float(np.linalg.norm(np.abs(spread(model, s, in_dq)), axis=1).max())
-
-
-def _zero_outside(points: np.ndarray) -> tuple[bool, float]:
-    """Whether zero is outside the convex hull of points (k,), and its distance from the hull."""
-    angles = np.sort(np.angle(points))
-    gaps = np.append(np.diff(angles), angles[0] + 2.0 * np.pi - angles[-1])
-    widest = int(np.argmax(gaps))
-    if gaps[widest] <= np.pi:
-        return False, 0.0
-    return True, _distance(points)
-
-
-def _distance(points: np.ndarray) -> float:
-    """Least distance of zero from the segments between points, which the hull's edges are among."""
-    a, b = points[:, None], points[None, :]
-    along = b - a
-    part = np.clip(-(a * along.conj()).real / np.maximum(np.abs(along) ** 2, 1e-300), 0.0, 1.0)
-    return float(np.abs(a + part * along).min())
+    return not zero_outside(corners - z)[0] or bool(np.abs(corners - z).min() < 1e-9 * abs(z))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,9 @@ from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.fit.rational import RationalModel
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.grids.errors import GridError
-from seqsweep.tuning.grids.regions import exclusion, regions_grid
+from seqsweep.tuning.grids.exclusion import critical_growth, exclusion
+from seqsweep.tuning.grids.hull import distance_of_zero, passive_part, zero_outside
+from seqsweep.tuning.grids.regions import RegionGrid, regions_grid
 from seqsweep.tuning.grids.series import SeriesRL
 from seqsweep.tuning.poles import closed_loop_poles
 from tests.support import oracle
@@ -52,6 +55,63 @@ def test_a_region_of_strong_grids_is_stable_as_a_whole(model: RationalModel) -> 
         line = SeriesRL(rng.uniform(0.005, 0.03), rng.uniform(0.08, 0.12), F1_HZ)
         assert closed_loop_poles(model, line).real.max() < 0.0
     assert closed_loop_poles(model, regions.member).real.max() < 0.0
+
+
+def test_the_distance_is_that_of_the_nearest_member_and_growth_ends_where_an_unstable_one_comes_in(
+    model: RationalModel,
+) -> None:
+    """No member, corner or not, has a smaller |det(1 + Y Z)| where the device is active, |f - f1| below 28 Hz."""
+    regions = regions_grid({**boxes(0.08, 0.12), "member": {"r_ohm": 0.012, "x_ohm": 0.1}}, F1_HZ)
+    distance = exclusion(model, regions).distance
+    assert 0.0 < distance < 1.0
+    rng, nu = np.random.default_rng(3), np.geomspace(1.0, 28.0, 200)
+    y = oracle.admittance_pn(F1_HZ + nu, 0.65e6, 690.0)
+    least = np.inf
+    for _ in range(100):
+        z = [np.array([inside(regions, abs(f), rng) for f in F1_HZ + sign * nu]) for sign in (1.0, -1.0)]
+        z1, z2 = z[0], np.where(nu < F1_HZ, z[1].conj(), z[1])
+        value = (1.0 + y[:, 0, 0] * z1) * (1.0 + y[:, 1, 1] * z2) - y[:, 0, 1] * y[:, 1, 0] * z1 * z2
+        least = min(least, float(np.abs(value).min()))
+    assert distance <= least + 1e-3  # the model's own error
+    growth = critical_growth(model, regions)
+    assert growth is not None
+    assert growth > 1.0
+    assert exclusion(model, replace(regions, growth=growth)).excluded
+    assert not exclusion(model, replace(regions, growth=1.02 * growth)).excluded
+    edge = next(x for x in np.arange(0.1, 1.0, 0.002) if is_unstable(model, x))
+    assert growth < (edge - 0.1) / 0.02  # a line that is unstable lies in regions grown so far
+
+
+def inside(regions: RegionGrid, f_hz: float, rng: np.random.Generator) -> complex:
+    """Some impedance that the regions allow."""
+    corners = regions.corners_at(f_hz)
+    assert corners is not None
+    return complex(rng.dirichlet(np.full(len(corners), 0.5)) @ corners)
+
+
+def is_unstable(model: RationalModel, x_ohm: float) -> bool:
+    """By the poles of the device on a line of 0.012 ohm and so much reactance."""
+    return bool(closed_loop_poles(model, SeriesRL(0.012, float(x_ohm), F1_HZ)).real.max() > 0.0)
+
+
+def test_a_region_across_the_edge_is_decided_where_it_is_smaller(model: RationalModel) -> None:
+    regions = regions_grid({**boxes(0.2, 0.45), "member": {"r_ohm": 0.012, "x_ohm": 0.25}}, F1_HZ)
+    growth = critical_growth(model, regions)
+    assert growth is not None
+    assert 0.0 < growth < 1.0
+    assert exclusion(model, regions).distance == 0.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_passive_part_of_a_hull_holds_every_passive_point_of_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = rng.standard_normal(7) + 0.5 + 1j * rng.standard_normal(7)
+    part = passive_part(corners)
+    assert part.real.min() >= 0.0
+    for _ in range(50):
+        point = rng.dirichlet(np.ones(7)) @ corners
+        if point.real > 0.0:
+            assert not zero_outside(part - point)[0] or distance_of_zero(part - point) < 1e-12
 
 
 def test_a_region_across_the_edge_is_not_excluded(model: RationalModel) -> None:
