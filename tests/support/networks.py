@@ -103,7 +103,10 @@ def tableau_pencil(net: Tableau) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def poles_of(linear: oracle.Linear, net: Tableau, w1: float = W1) -> np.ndarray:
-    """Closed-loop poles (rad/s, dq) of the linearised device and the network."""
+    """Closed-loop poles (rad/s, dq) of the linearised device and the network.
+
+    The device is i = C x + D v + E v', x' = A x + B v; E is a number (F), zero where it has none.
+    """
     a, e, n = tableau_pencil(net)
     a_dq = np.kron(a, np.eye(2)) - w1 * np.kron(e, J)
     e_dq = np.kron(e, np.eye(2))
@@ -113,14 +116,15 @@ def poles_of(linear: oracle.Linear, net: Tableau, w1: float = W1) -> np.ndarray:
     big_a[k:, k:], big_e[k:, k:] = a_dq, e_dq
     big_a[k : k + 2, :k] += linear.C  # what flows into the device leaves the PCC, too
     big_a[k : k + 2, k : k + 2] += linear.D
+    big_e[k : k + 2, k : k + 2] -= getattr(linear, "E", 0.0) * np.eye(2)
     size = np.maximum(np.abs(big_a).max(axis=1), 300.0 * np.abs(big_e).max(axis=1))[:, None]
     values = eig(big_a / size, big_e / size, right=False)
     return values[np.isfinite(values) & (np.abs(values) < 1e7)]
 
 
-def rightmost(linear: oracle.Linear, document: dict, scale: float) -> float:
+def rightmost(linear: oracle.Linear, document: dict, scale: float, f1_hz: float = F1_HZ) -> float:
     """Largest real part of the poles (rad/s)."""
-    return float(poles_of(linear, tableau_of(document, scale)).real.max())
+    return float(poles_of(linear, tableau_of(document, scale, f1_hz), 2.0 * np.pi * f1_hz).real.max())
 
 
 def impedance_of(document: dict, s: np.ndarray, scale: float = 1.0, f1_hz: float = F1_HZ) -> np.ndarray:
@@ -179,17 +183,23 @@ def random_document(rng: np.random.Generator, kind: str) -> dict:
 
 def near_critical(rng: np.random.Generator, linear: oracle.Linear, kind: str) -> NearCritical:
     """A random grid of a kind, scaled until its rightmost pole lies 0.1 to 5 rad/s from the axis, on either side."""
-    while True:
-        document = random_document(rng, kind)
-        scales = np.geomspace(0.3, 3.0, 9)
-        values = [rightmost(linear, document, s) for s in scales]
-        at = [k for k in range(8) if values[k] < 0.0 < values[k + 1]]
-        if not at:
-            continue
-        low, high = scales[at[0]], scales[at[0] + 1]
-        target = float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-1.0, np.log10(5.0)))
-        ends = [rightmost(linear, document, s) - target for s in (low, high)]
-        if ends[0] * ends[1] >= 0.0:
-            continue
-        scale = brentq(lambda s, d=document, t=target: rightmost(linear, d, s) - t, low, high, xtol=1e-6)
-        return NearCritical(document, kind, scale, poles_of(linear, tableau_of(document, scale)))
+    return next(found for _ in iter(int, 1) if (found := near_critical_once(rng, linear, kind)) is not None)
+
+
+def near_critical_once(
+    rng: np.random.Generator, linear: oracle.Linear, kind: str, size: float = 1.0, f1_hz: float = F1_HZ
+) -> NearCritical | None:
+    """As `near_critical`, of an impedance about 0.25 ohm times ``size``; None where this one has no edge there."""
+    document = random_document(rng, kind)
+    scales = size * np.geomspace(0.3, 3.0, 9)
+    values = [rightmost(linear, document, s, f1_hz) for s in scales]
+    at = [k for k in range(8) if values[k] < 0.0 < values[k + 1]]
+    if not at:
+        return None
+    target = float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-1.0, np.log10(5.0)))
+    ends = scales[at[0]], scales[at[0] + 1]
+    if (values[at[0]] - target) * (values[at[0] + 1] - target) >= 0.0:
+        return None
+    scale = brentq(lambda s: rightmost(linear, document, s, f1_hz) - target, *ends, xtol=1e-6 * size)
+    poles = poles_of(linear, tableau_of(document, scale, f1_hz), 2.0 * np.pi * f1_hz)
+    return NearCritical(document, kind, scale, poles)
