@@ -1,6 +1,6 @@
 """Make the recordings of this folder anew, byte for byte: ``python data/make.py``.
 
-The reference turbine is perturbed in time on a grid, in two experiments of four tones each, at f and at
+The reference turbine is perturbed in time on a grid, in two experiments of twelve tones each, at f and at
 the mirror; phases of voltage and current at its terminals are written in every format that recordings
 come in. The true admittance beside them is not that of the sweep: it comes from the linearisation that
 the tests derive on their own.
@@ -28,11 +28,14 @@ from seqsweep.sweep.playback.waveform_files import phases
 HERE = Path(__file__).parent
 
 POWER_W, VOLTAGE_V, F1_HZ = 0.65e6, 690.0, 50.0
-F_HZ = (15.0, 35.0, 130.0, 250.0)  # from f1: 35, 15, 80, 200 Hz, none the sum, difference or double of others
-AMPLITUDE_PU = 0.005
-PHASES_RAD = (0.3, 1.9, -2.2, 0.8)
-STEP_S, EVERY = 50e-6, 20  # recorded at 1 kHz
-QUIET_S, SETTLE_S, WINDOW_S = 0.2, 0.7, 0.6
+NU_HZ = (7.5, 12.5, 17.5, 22.5, 27.5, 32.5, 42.5, 57.5, 77.5, 107.5, 132.5, 157.5)
+"""|f - f1|: odd multiples of 2.5 Hz, of which none is the sum, difference or double of others."""
+F_HZ = tuple(sorted(F1_HZ - nu if nu < F1_HZ else F1_HZ + nu for nu in NU_HZ))
+AMPLITUDE_PU = 0.002
+PHASES_RAD = tuple(round(float(np.pi * (k * k % 24) / 12.0), 2) for k in range(len(NU_HZ)))  # of low crest factor
+STEP_S, EVERY = 50e-6, 20
+RATE_HZ = 1000.0  # of the recording: every twentieth step
+QUIET_S, SETTLE_S, WINDOW_S = 0.2, 1.1, 0.8
 NAMES = ("va", "vb", "vc", "ia", "ib", "ic")
 RESOLUTION = 1e-3  # V and A: hides the last digits, in which processors differ
 
@@ -77,7 +80,7 @@ def recorded(name: str, f_hz: Sequence[float]) -> Recorded:
     _, loud = plant.run([Job(state, Injection("series_voltage", tones))], round((SETTLE_S + WINDOW_S) / STEP_S))[0]
     vector = [np.concatenate([getattr(part, x) for part in (quiet, loud)])[::EVERY] for x in ("v", "i")]
     samples = np.round(np.hstack([phases(x) for x in vector]) / RESOLUTION) * RESOLUTION
-    return Recorded(name, np.arange(len(samples)) / 1000.0, samples)
+    return Recorded(name, np.arange(len(samples)) / RATE_HZ, samples)
 
 
 def manifest() -> Manifest:
@@ -101,7 +104,7 @@ def manifest() -> Manifest:
     rating = plant.rating
     made_by = {"made_by": "data/make.py"}
     return Manifest(
-        F1_HZ, 1000.0, "series_voltage", rating.voltage_v, rating.power_va, point, tuple(experiments), made_by
+        F1_HZ, RATE_HZ, "series_voltage", rating.voltage_v, rating.power_va, point, tuple(experiments), made_by
     )
 
 
@@ -148,7 +151,7 @@ def columns(one: Recorded) -> dict[str, np.ndarray]:
 def comtrade(path: Path, one: Recorded, encoding: Encoding) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     channels = [AnalogChannel(name, name[1].upper(), unit) for name, unit in zip(NAMES, units(), strict=True)]
-    write_comtrade(path, channels, one.samples, 1000.0, F1_HZ, encoding)
+    write_comtrade(path, channels, one.samples, RATE_HZ, F1_HZ, encoding)
 
 
 def csv(one: Recorded) -> bytes:

@@ -19,7 +19,7 @@ BOTH = ("direct", "mirror")
 
 
 def recording(name: str) -> np.ndarray:
-    """Time and six channels of the text, (1500, 7)."""
+    """Time and six channels of the text, (2100, 7)."""
     return np.loadtxt(DATA / "csv" / f"{name}.csv", delimiter=",", skiprows=1)
 
 
@@ -82,7 +82,7 @@ def test_the_recordings_hold_the_true_admittance() -> None:
     truth = json.loads((DATA / "truth.json").read_text())
     phasors = []
     for name in BOTH:
-        data = recording(name)[900:]
+        data = recording(name)[1300:]
         v, i = (
             data[:, part] @ np.exp(2j * np.pi * np.arange(3) / 3.0) * 2.0 / 3.0 for part in (slice(1, 4), slice(4, 7))
         )

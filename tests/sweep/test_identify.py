@@ -311,7 +311,7 @@ FOLDERS = sorted(path.name for path in DATA.iterdir() if path.is_dir() and not p
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_the_recordings_in_data_give_the_truth_beside_them_in_every_format(tmp_path, folder):
-    """Written by other code than the readers; 1e-3 is the turbine's own nonlinearity at four tones of 0.005 pu."""
+    """Written by other code than the readers; 1e-3 is the turbine's own nonlinearity at twelve tones of 0.002 pu."""
     direction = "generator" if folder == "pscad" else "load"
     request = request_of([DATA / folder], DATA / "manifest.json", "", direction, "auto", None, (None, None), None)
     assert identify(request, tmp_path / "y.parquet", jobs=1).all_ok
