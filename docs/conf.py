@@ -31,6 +31,7 @@ suppress_warnings = ["myst.header", "mystnb.unknown_mime_type", "config.cache"]
 exclude_patterns = ["build", "site", "figures/README.md", "gallery/*.ipynb"]
 source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb", ".rst": "restructuredtext"}
 default_role = "literal"
+smartquotes = False  # options have two dashes
 nitpicky = False
 highlight_language = "none"
 
