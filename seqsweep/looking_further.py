@@ -22,7 +22,7 @@ from .tuning.bank.entries import check_single, read_bank
 from .tuning.bank.judgement import PairVerdict
 from .tuning.farm.document import farm_of
 from .tuning.farm.farm import Farm, judged
-from .tuning.farm.restore import DAMPED_BAND, Advice, Demand
+from .tuning.farm.restore import DAMPED_BAND, Advice, Damping, Demand, SourceMargin
 from .tuning.farm.units import Library
 from .tuning.grids.open import open_grid
 from .tuning.metrics import Metrics
@@ -130,6 +130,7 @@ def farm_advice(
     by: str,
     *,
     damping: float | None = None,
+    margin: float | None = None,
     probability: float = 0.95,
     out: Sequence[str] = (),
     jobs: int | None = None,
@@ -143,7 +144,9 @@ def farm_advice(
     by : "gain" or "power"
         Damping gains, each confirmed by a sweep, or powers given up, predicted by the tables' surrogates.
     damping : float, optional
-        Damping ratio that every mode near f1 shall have; without it the slopes alone are found.
+        Damping ratio that every mode near f1 shall have; without a demand the slopes alone are found.
+    margin : float, optional
+        Bode margin m that the farm shall have at the source's bus, in place of a damping.
     probability : float
         With which probability, for the errors of the tables.
     out : sequence of str
@@ -157,7 +160,9 @@ def farm_advice(
         If a device cannot be swept again, or has no table over several powers.
     """
     library, found = _farm_and_library(document, out)
-    demand = None if damping is None else Demand(damping, probability, DAMPED_BAND * found.entry.f1_hz)
+    demand: Demand | None = None if margin is None else SourceMargin(margin, probability)
+    if damping is not None:
+        demand = Damping(damping, probability, DAMPED_BAND * found.entry.f1_hz)
     if by == "power":
         return power_advice(library, found, demand)
     if by != "gain":

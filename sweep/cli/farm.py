@@ -48,8 +48,11 @@ def farm(
         bool, typer.Option("--states", help="Judge every switching state, [[state]] in the file.")
     ] = False,
     margin: Annotated[
-        float, typer.Option(metavar="M", help="Margin m at the source from which damping control may stop.")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            metavar="M", help="Margin m at the source: asked with --by, or where control may stop (--states)."
+        ),
+    ] = None,
     by: Annotated[
         list[Lever] | None, typer.Option(help="What can be changed: damping gains, powers given up; repeatable.")
     ] = None,
@@ -71,10 +74,10 @@ def farm(
         check_new(table, force)
         check_suffix(table, ".parquet")
     if states:
-        return _all_states(document, out or [], margin, output, plot)
-    _check_demand(damping, probability, by)
+        return _all_states(document, out or [], 1.0 if margin is None else margin, output, plot)
+    _check_demand(damping, margin, probability, by)
     library, found = _judged(document, out or [])
-    demand = _demand(damping, probability, found)
+    demand = _demand(damping, margin, probability, found)
     advice = [_advice(lever, library, found, demand, jobs) for lever in by or []]
     result(lambda: "\n\n".join([text_of(found), *map(advice_text, advice)]), lambda: to_json(found, advice))
     if output is not None:
@@ -127,19 +130,25 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
         plot_states(plot, found)
 
 
-def _check_demand(damping: float | None, probability: float, by: list[Lever] | None) -> None:
-    if damping is not None and not by:
-        raise WrongInput("--damping asks what would restore it; say by what: --by gain, --by power, or both")
+def _check_demand(damping: float | None, margin: float | None, probability: float, by: list[Lever] | None) -> None:
+    if damping is not None and margin is not None:
+        raise WrongInput("--damping and --margin are two demands; give one")
+    if (damping is not None or margin is not None) and not by:
+        raise WrongInput("a demand asks what would restore it; say by what: --by gain, --by power, or both")
     if damping is not None and not -100.0 < damping < 100.0:
         raise WrongInput(f"--damping {damping:g}: needed is a damping ratio in per cent, such as 5")
+    if margin is not None and not margin > 0.0:
+        raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
     if not 0.5 <= probability < 1.0:
         raise WrongInput(f"--probability {probability:g}: needed is a number from 0.5 to below 1, such as 0.95")
 
 
-def _demand(damping: float | None, probability: float, found: Farm) -> Demand | None:
-    from ...tuning.farm.restore import DAMPED_BAND, Demand
+def _demand(damping: float | None, margin: float | None, probability: float, found: Farm) -> Demand | None:
+    from ...tuning.farm.restore import DAMPED_BAND, Damping, SourceMargin
 
-    return None if damping is None else Demand(damping / 100.0, probability, DAMPED_BAND * found.entry.f1_hz)
+    if damping is not None:
+        return Damping(damping / 100.0, probability, DAMPED_BAND * found.entry.f1_hz)
+    return None if margin is None else SourceMargin(margin, probability)
 
 
 def _advice(lever: Lever, library: Library, found: Farm, demand: Demand | None, jobs: int | None) -> Advice:

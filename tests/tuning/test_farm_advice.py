@@ -16,7 +16,8 @@ from seqsweep.tuning.farm.doubt import doubt_of
 from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged
 from seqsweep.tuning.farm.levers import GainLever, PowerLever, check_power_lever
-from seqsweep.tuning.farm.restore import Demand, advise
+from seqsweep.tuning.farm.margin import crossing_at_source, margin_at_source
+from seqsweep.tuning.farm.restore import Damping, SourceMargin, advise
 from seqsweep.tuning.farm.system import System
 from seqsweep.tuning.farm.units import Library
 
@@ -50,7 +51,7 @@ def gains():
     _, v = closed_loop(STAR, POWERS_W)
     tables = {f"t{k}": table_of(p, abs(v[k])) for k, p in enumerate(POWERS_W)}
     farm = judged(farm_of(document(STAR, 3)), tables.__getitem__)
-    return advise(GainLever(farm, swept), Demand(0.10, 0.95))
+    return advise(GainLever(farm, swept), Damping(0.10, 0.95))
 
 
 def test_slopes_of_gains_are_those_of_the_exact_farm(gains):
@@ -113,7 +114,7 @@ def _power_lever(region) -> PowerLever:
 
 def test_less_power_moves_the_mode_and_restores_it_as_in_the_exact_farm(region):
     """Slopes within one per cent: they count that voltages and angles of all devices move as well."""
-    advice = advise(_power_lever(region), Demand(0.08, 0.95))
+    advice = advise(_power_lever(region), Damping(0.08, 0.95))
     critical = int(np.argmax([mode.pole.real for mode in advice.base.judgement.modes]))
     none = np.zeros(3)
     for k in range(3):
@@ -125,13 +126,33 @@ def test_less_power_moves_the_mode_and_restores_it_as_in_the_exact_farm(region):
         assert _damping(truth(none, list(POWERS_W - 1e6 * choice.changes))) == pytest.approx(0.08, abs=5e-4)
 
 
+def test_less_power_that_restores_the_margin_holds_it_where_the_farm_then_stands(region):
+    """m of the explicit farm's admittance is not at hand; that the farm at 1.25 times Z is just stable is."""
+    lever = _power_lever(region)
+    (least, few, same) = advise(lever, SourceMargin(1.25)).choices
+    for choice in (least, few, same):
+        assert choice.holds
+        assert crossing_at_source(choice.farm).m == pytest.approx(1.25, abs=5e-3)
+    assert few.changes.sum() <= same.changes.sum() + 1e-6
+
+
+def test_the_margin_s_error_is_that_of_noisy_tables():
+    """Pairs of noisy tables: their m scatters by what one of them states."""
+    found = []
+    for seed in range(24):
+        rough = {f"t{k}": _noisy(table_of(0.6e6, 690.0), 1e-3, 100 * seed + k) for k in range(2)}
+        found.append(margin_at_source(judged(farm_of(document(STAR, 2)), rough.__getitem__)))
+    scatter = np.std([margin.crossing.m for margin in found], ddof=1)
+    assert scatter == pytest.approx(np.median([margin.std for margin in found]), rel=0.4)
+
+
 def test_a_demand_that_holds_asks_for_nothing(region):
-    advice = advise(_power_lever(region), Demand(0.01, 0.95))
+    advice = advise(_power_lever(region), Damping(0.01, 0.95))
     assert all(choice.holds and not np.any(choice.changes) for choice in advice.choices)
 
 
 def test_a_demand_beyond_reach_is_said_to_be_missed(region):
-    (least, *_) = advise(_power_lever(region), Demand(0.6, 0.95)).choices
+    (least, *_) = advise(_power_lever(region), Damping(0.6, 0.95)).choices
     assert not least.holds
     assert least.excess > 0.0
 

@@ -8,8 +8,9 @@ import pytest
 from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged
+from seqsweep.tuning.farm.margin import crossing_at_source
 from seqsweep.tuning.farm.result import states_json, states_text
-from seqsweep.tuning.farm.states import State, crossing_at_source, farm_in, judge_states, states_of
+from seqsweep.tuning.farm.states import State, farm_in, judge_states, states_of
 from seqsweep.tuning.farm.units import Library
 
 from ..support.farm_oracle import Star, closed_loop

@@ -31,9 +31,9 @@ def advice_json(advice: Advice) -> dict[str, Any]:
     }
 
 
-def _demand_json(advice: Advice) -> dict[str, float]:
+def _demand_json(advice: Advice) -> dict[str, Any]:
     assert advice.demand is not None
-    return {"damping": advice.demand.damping, "probability": advice.demand.probability}
+    return {"words": advice.demand.words, "probability": advice.demand.probability, "unit": advice.demand.unit}
 
 
 def _choice_json(advice: Advice, choice: Choice) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def _choice_json(advice: Advice, choice: Choice) -> dict[str, Any]:
     return {
         "way": choice.way,
         "holds": choice.holds,
-        "excess_per_s": choice.excess if np.isfinite(choice.excess) else None,
+        "excess": choice.excess if np.isfinite(choice.excess) else None,
         "changes": {name: float(x) for name, x in zip(advice.names, choice.changes, strict=True)},
         "sum": float(choice.changes.sum()),
         "norm": float(np.linalg.norm(choice.changes)),
@@ -87,10 +87,10 @@ def _place(advice: Advice) -> str:
 
 def _said(advice: Advice, choice: Choice) -> str:
     assert advice.demand is not None
-    asked = f"{100.0 * advice.demand.damping:g} % of damping with probability {advice.demand.probability:g}"
+    asked = f"{advice.demand.words} with probability {advice.demand.probability:g}"
     if choice.rounds == 0 and choice.holds:
         return f"{choice.way}: {asked} holds without any change"
     checked = "swept again" if not advice.unit else "at its new load flow"
     if choice.holds:
         return f"{choice.way}: {asked} holds, the farm {checked}"
-    return f"{choice.way}: {asked} is not reached, by {choice.excess:.3g} 1/s; the farm {checked}"
+    return f"{choice.way}: {asked} is not reached, by {choice.excess:.3g} {advice.demand.unit}; the farm {checked}"

@@ -121,11 +121,12 @@ def admittance_at_source(farm: Farm, f_hz: np.ndarray) -> np.ndarray:
     z = system.impedance(s)
     total = np.linalg.solve(np.eye(z.shape[1]) + z @ system.admittance(s), z)
     at = 2 * system.ports.index(entry.source_bus)
-    own = np.linalg.inv(total[:, at : at + 2, at : at + 2]) - np.linalg.inv(_source_dq(entry, s))
+    own = np.linalg.inv(total[:, at : at + 2, at : at + 2]) - np.linalg.inv(source_dq(entry, s))
     return dq_to_pn(own)
 
 
-def _source_dq(entry: FarmEntry, s: np.ndarray) -> np.ndarray:
+def source_dq(entry: FarmEntry, s: np.ndarray) -> np.ndarray:
+    """Impedance (n, 2, 2) of the source in dq (ohm) at complex ``s`` (n,) in rad/s."""
     w1 = 2.0 * np.pi * entry.f1_hz
     z, l_h = entry.source_z_ohm, entry.source_z_ohm.imag / w1
     own = z.real + s * l_h

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from ..crossings import Crossing, bode_crossings, critical_crossing
-from ..siso import SeriesRL
+from ..crossings import Crossing
 from .document import checked_number, entries_of, farm_without_islands, known_keys
 from .entries import FarmEntry, FarmError, NoLoadFlow
-from .farm import Farm, admittance_at_source, judged
+from .farm import Farm, judged
+from .margin import crossing_at_source
 from .units import Library
 
 STATE_KEYS = ("name", "out", "only", "devices", "count", "source_scale", "each_out")
@@ -146,14 +146,6 @@ def judge_state(entry: FarmEntry, state: State, library: Library, margin: float 
     crossing = crossing_at_source(farm)
     gone = farm.judgement.verdict == "stable" and (crossing is None or crossing.m >= margin)
     return StateVerdict(state, farm, farm.judgement.reason, crossing, gone)
-
-
-def crossing_at_source(farm: Farm) -> Crossing | None:
-    """The critical crossing of Y1 of the whole farm with the source's admittance; None if there is none."""
-    z, f1 = farm.entry.source_z_ohm, farm.entry.f1_hz
-    grid = SeriesRL(z.real, z.imag, f1)
-    crossings = bode_crossings(lambda f: admittance_at_source(farm, f), grid, 1.0, f1 + 0.9 * farm.system.end_hz)
-    return critical_crossing(crossings, f1)
 
 
 # From the document ---------------------------------------------------------------------------------------------------
