@@ -242,9 +242,9 @@ def plain(table: Sequence[Row]) -> str:
     )
 
 
-def rewrite(page: Path, block: str) -> None:
-    """Replace what stands between the markers of ``page``."""
+def rewrite(page: Path, block: str, begin: str = BEGIN, end: str = END) -> None:
+    """Replace what stands between two markers of ``page``."""
     text = page.read_text("utf-8")
-    before, rest = text.split(BEGIN)
-    _, after = rest.split(END)
-    page.write_text(f"{before}{BEGIN}\n\n{block}\n\n{END}{after}", "utf-8")
+    before, rest = text.split(begin)
+    _, after = rest.split(end)
+    page.write_text(f"{before}{begin}\n\n{block}\n\n{end}{after}", "utf-8")

@@ -17,12 +17,16 @@ from ..grids.document import KINDS, Element, Place
 from ..network.assembly import GROUND, Branch, Line, Network
 from ..network.equipment import pi_line
 from .entries import DamperEntry, DampingEntry, DeviceEntry, FarmEntry, FarmError
+from .plausible import check_size, check_transformer
 
 SECTION_KM = 5.0
 """Longest pi section (km)."""
 
 SECTIONS = ("bus", "line", "cable", "series", "transformer", "shunt", "series_capacitor", "source", "device", "damper")
 TOP_KEYS = ("name", "f1_hz", "damping", "state", *SECTIONS)
+WORDS = ("model", "type")
+"""Keys of equipment that are words, not numbers."""
+
 DAMPER_KEYS = ("name", "bus", "share", "size_s", "in_service")
 DAMPING_KEYS = ("r_ohm", "x_ohm", "resonance_hz", "k_max")
 SOURCE_KEYS = ("name", "bus", "voltage_pu", "r_ohm", "x_ohm", "s_sc_mva", "r_over_x")
@@ -152,6 +156,7 @@ def _buses(document: Mapping[str, Any]) -> dict[str, float]:
         name, kv = entry.get("name"), entry.get("voltage_kv", 0.0)
         if not isinstance(name, str) or not _positive(kv):
             raise FarmError(f"bus {k}: needed are a name and voltage_kv, line to line, above 0")
+        check_size(name, "voltage_kv", kv)
         voltages[name] = float(kv) * 1e3
     if not voltages:
         raise FarmError("no [[bus]]: a farm needs buses with a name and voltage_kv")
@@ -179,11 +184,13 @@ def _element(entry: Mapping[str, Any], section: str, k: int, voltages: Mapping[s
     if missing := [key for key in KINDS[kind].needed if key not in entry]:
         raise FarmError(f"{name}: a {kind} needs {', '.join(missing)}")
     for key in of_kind:
-        if key in entry and not isinstance(entry[key], int | float | str):
-            raise FarmError(f"{name}: {key} = {entry[key]!r}; needed is a number")
+        if key in entry and not isinstance(entry[key], str if key in WORDS else int | float):
+            raise FarmError(f"{name}: {key} = {entry[key]!r}; needed is a {'word' if key in WORDS else 'number'}")
+        check_size(name, key, entry.get(key))
     nodes = [_bus(entry, end, name, voltages) for end in ends]
     if section == "transformer":
         nodes = _low_first(entry, name, nodes, voltages)
+        check_transformer(name, float(entry["sn_mva"]), float(entry["vn_lv_kv"]))
     elif section != "shunt":
         _same_level(name, nodes, voltages)
     values = {key: entry[key] for key in of_kind if key in entry}

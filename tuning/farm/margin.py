@@ -1,7 +1,7 @@
 """The Bode margin of a farm at its source's bus, and how surely it is what it is.
 
 The critical crossing is that of Q = Y1 Zg1 with the negative real axis, Y1 the farm's admittance of the positive
-sequence with the mirror image closed through the source. A table's error dY moves Q by sum_ij w_ij dY_ij at the crossing; the
+sequence with the mirror image closed through the source. A table's error dY moves Q by sum_ij w_ij dY_ij there; the
 crossing moves along the frequency until Q is real again, and m = -1/Q with it.
 """
 

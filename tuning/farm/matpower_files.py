@@ -15,6 +15,8 @@ _MATRIX = r"mpc\.{name}\s*=\s*\[(.*?)\]\s*;?"
 _LEAST = {"bus": 10, "gen": 8, "branch": 11}
 """Columns that a row of each matrix must have."""
 
+_USUAL_VK = 0.1  # per unit
+
 Row = list[float]
 
 
@@ -113,12 +115,13 @@ def _branch(row: Row, k: int, base: float, buses: Mapping[int, Row], parts: Netw
 
 
 def _transformer(ends: Part, r: float, x: float, base: float, kv_from: float, kv_to: float) -> Part:
-    """The tap is at the "from" end, and the impedance is per unit of either end's voltage."""
+    """The tap is at the "from" end; a case file has no rating, and the one with the usual impedance is taken."""
     if not x > 0.0:
         raise FarmError(f"{ends['name']}: a transformer with x = {x:g}; needed is a number above 0")
     low_first = kv_from <= kv_to
     kv = {"vn_lv_kv": kv_from if low_first else kv_to, "vn_hv_kv": kv_to if low_first else kv_from}
-    return {**ends, "sn_mva": base, **kv, "vk_percent": 100.0 * hypot(r, x), "vkr_percent": 100.0 * r}
+    rating = base * _USUAL_VK / hypot(r, x)
+    return {**ends, "sn_mva": rating, **kv, "vk_percent": 100.0 * _USUAL_VK, "vkr_percent": 100.0 * r * rating / base}
 
 
 def _at_bus(row: Row, bus: str, parts: Network) -> None:

@@ -202,6 +202,11 @@ def _source(entry: DeviceEntry, library: Library, farm: FarmEntry) -> Source:
     if entry.active_power_mw is not None:
         surrogate = library.surrogate(entry.table)
         middle = (surrogate.region.low[2] + surrogate.region.high[2]) / 2.0
+        high = float(surrogate.region.high[0])
+        if entry.active_power_mw > 100.0 * max(high, 1e-9):
+            raise FarmError(
+                f"{entry.name}: active_power_mw = {entry.active_power_mw:g}; its table ends at {high:g} MW: kW for MW?"
+            )
         surrogate.check_inside([entry.active_power_mw, entry.reactive_power_mvar, middle], entry.name)
         return Source(entry.table, None, surrogate, bases)
     if entry.op is None and len(table.op_ids) > 1:
