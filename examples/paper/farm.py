@@ -142,7 +142,8 @@ def charging(document: dict[str, Any], library: Library) -> dict[str, StateVerdi
     """Nine turbines at 0.30 pu: without cables, with them, and with cables that do not charge."""
     nine, cabled = State("9 turbines", devices=9), State("9 turbines", devices=9, out=tuple(_unused(9)))
     cables = with_collector(document)
-    dry = {**cables, "cable": [{**entry, "c_nf_per_km": 1e-3} for entry in cables["cable"]]}
+    lines = [{key: value for key, value in entry.items() if key != "c_nf_per_km"} for entry in cables["cable"]]
+    dry = {**cables, "cable": [], "line": lines}
     cases = {"no cables": (document, nine), "cables": (cables, cabled), "cables without their charging": (dry, cabled)}
     return {name: judge_state(farm_in(content, state), state, library) for name, (content, state) in cases.items()}
 

@@ -6,9 +6,11 @@ import json
 import shutil
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from seqsweep.identify.table.read import validate_table
+from seqsweep.tuning.farm.result import schema
 
 from ..support.commands import command
 
@@ -56,7 +58,10 @@ def test_less_power_that_restores_the_damping_is_found(folder):
     done = command("farm", weak(folder), "--by", "power", "--damping", "6", "-o", folder / "w.json", "--force")
     assert done.returncode == 0, done.stderr
     assert all(len(line) <= 90 for line in done.stdout.splitlines())
-    (advice,) = json.loads((folder / "w.json").read_text())["advice"]
+    content = json.loads((folder / "w.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema())
+    jsonschema.validate(content, schema())
+    (advice,) = content["advice"]
     assert [choice["way"] for choice in advice["choices"]] == ["least norm", "fewest", "uniform"]
     assert all(choice["holds"] for choice in advice["choices"])
     assert advice["choices"][0]["norm"] <= min(choice["norm"] for choice in advice["choices"]) + 1e-9
@@ -112,7 +117,9 @@ def test_states_and_diagram_are_drawn(folder):
     (folder / "states.toml").write_text((EXAMPLE / "farm.toml").read_text("utf-8") + more, "utf-8")
     done = command("farm", folder / "states.toml", "--states", "-o", folder / "s.json", "--plot", folder / "s.svg")
     assert done.returncode == 0, done.stderr
-    states = json.loads((folder / "s.json").read_text())["states"]
+    content = json.loads((folder / "s.json").read_text())
+    jsonschema.validate(content, schema(of_states=True))
+    states = content["states"]
     assert [len(state["devices"]) for state in states] == [3, 3, 3, 1]
     assert "weaker, 1.8 Z" in (folder / "s.svg").read_text()
     done = command("farm", folder / "farm.toml", "--diagram", folder / "d.svg")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from seqsweep.tuning.farm.dampers import held_amplitude, model_of, seen_from
 from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged
-from seqsweep.tuning.farm.result import text_of, to_json
+from seqsweep.tuning.farm.result import schema, text_of, to_json
 from seqsweep.tuning.farm.units import Library
 
 from ..support.farm_oracle import Star, closed_loop
@@ -90,6 +91,7 @@ def test_it_is_told_with_its_limit(best):
     told = to_json(best)["dampers"][0]
     assert told["limit_a"] == pytest.approx(0.1 * 3 * 1.632e6 / 690.0)
     assert "gsdc" in to_json(best)["modes"][0]["devices"]
+    jsonschema.validate(to_json(best), schema())
 
 
 @pytest.mark.parametrize(

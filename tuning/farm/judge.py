@@ -23,6 +23,9 @@ from .system import System
 DECIDED = 0.99
 """Probability from which on a verdict is given."""
 
+BESIDE = 0.3
+"""A stable mode nearer to a device's own pole than this part of its width is told last."""
+
 MODES = 8
 """In-band modes that are told, least damped first."""
 
@@ -86,13 +89,21 @@ def _count(system: System, locus: Followed) -> int | None:
 
 
 def _told(system: System, poles: np.ndarray) -> list[complex]:
-    """In-band modes with a peak, and every unstable one; devices' own modes that the network does not move are none."""
+    """In-band modes with a peak, and every unstable one, least damped first.
+
+    Where they are too many, stable ones beside a device's own pole give way: those are hardly moved by the network, and
+    as many as there are devices, such as those of the damping control's notches.
+    """
     upper = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi * EDGE * system.end_hz)]
     damping = -upper.real / np.abs(upper)
     oscillates = (upper.imag > 2.0 * np.pi * RESONANCE_FROM_HZ) & (damping < RESONANCE_DAMPING)
     chosen = upper[oscillates | (upper.real > 0.0)]
-    order = np.lexsort((-chosen.real / np.abs(chosen), chosen.real <= 0.0))
-    return [complex(pole) for pole in chosen[order][:MODES]]
+    chosen = chosen[np.lexsort((-chosen.real / np.abs(chosen), chosen.real <= 0.0))]
+    own = np.concatenate([unit.model.poles for unit in system.units])
+    apart = np.min(np.abs(chosen[:, None] - own) / np.maximum(np.abs(own.real), 1e-300), axis=1, initial=np.inf)
+    beside = (apart < BESIDE) & (chosen.real <= 0.0)
+    kept = np.sort(np.argsort(beside, kind="stable")[:MODES])
+    return [complex(pole) for pole in chosen[kept]]
 
 
 def _decided(

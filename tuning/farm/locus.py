@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..winding import about
-from .system import System
+from .system import PASSED_RAD_S, System
 
 MAX_STEP_DEG = 40.0
 """A step is halved until no eigenvalue of the ratio turns further than this."""
@@ -29,7 +29,7 @@ class Followed(NamedTuple):
     nu_hz : (n,) float
         Where the matrix was looked at (Hz), up to the band's end.
     turns : (n,) float
-        Counter-clockwise turns of the cleared determinant up to there.
+        Counter-clockwise turns of the determinant up to there.
     closing : float
         Turns from the band's end to infinity, the loop gain falling off: no eigenvalue of Y Z then passes -1.
     trusted : bool
@@ -59,10 +59,9 @@ def follow(system: System, poles: np.ndarray) -> Followed:
         middle = (nu[wide] + nu[wide + 1]) / 2.0
         matrices = np.insert(matrices, wide + 1, _evaluated(system, middle), axis=0)
         nu = np.insert(nu, wide + 1, middle)
-    cleared = np.concatenate([[0.0], np.cumsum(turned)]) + system.clearing_angle(nu)
-    closing = -np.sum(np.angle(np.linalg.eigvals(matrices[-1]))) - system.clearing_angle(nu[-1:])[0]
+    turns = np.concatenate([[0.0], np.cumsum(turned)]) / (2.0 * np.pi)
+    closing = -np.sum(np.angle(np.linalg.eigvals(matrices[-1])))
     trusted = bool(widest.max(initial=0.0) <= np.radians(MAX_STEP_DEG))
-    turns = (cleared - cleared[0]) / (2.0 * np.pi)
     return Followed(nu, turns, float(closing) / (2.0 * np.pi), trusted)
 
 
@@ -70,7 +69,10 @@ def _seeds(system: System, poles: np.ndarray) -> np.ndarray:
     own = np.concatenate([unit.model.poles for unit in system.units])
     rows = np.concatenate([unit.model.nu_hz for unit in system.units])
     near_f1 = system.f1_hz * np.array([0.98, 1.0, 1.02])
-    seeds = np.concatenate([about(poles), about(own), about(system.network_modes), rows, near_f1])
+    past = system.axis_rad_s[:, None] + PASSED_RAD_S * np.cos(np.linspace(0.0, np.pi, 13))
+    seeds = np.concatenate(
+        [past.ravel() / (2.0 * np.pi), about(poles), about(own), about(system.network_modes), rows, near_f1]
+    )
     inside = seeds[(seeds > 0.0) & (seeds < system.end_hz)]
     return np.unique(np.concatenate([[0.0, system.end_hz], inside]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +21,16 @@ FORMAT, VERSION = "seqsweep-farm", "1.0.0"
 
 _SHOWN = 3  # modes that a terminal shows
 _Z95 = 1.959963984540054
+
+
+def schema(of_states: bool = False) -> dict[str, Any]:
+    """JSON Schema of the document of one farm, or of that of its switching states."""
+    from importlib.resources import files
+
+    name = f"{FORMAT}-states-1" if of_states else f"{FORMAT}-1"
+    text = files("seqsweep.tuning").joinpath(f"schema/{name}.schema.json").read_text(encoding="utf-8")
+    content: dict[str, Any] = json.loads(text)
+    return content
 
 
 def to_json(farm: Farm, advice: Sequence[Advice] = ()) -> dict[str, Any]:

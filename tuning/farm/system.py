@@ -21,6 +21,9 @@ from .units import Unit
 UNDAMPED = 1e-9
 """Network modes with a smaller damping ratio lie on the axis."""
 
+PASSED_RAD_S = 0.2
+"""Radius of the half circles that lead the contour past the network's modes on the axis."""
+
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
 
@@ -94,16 +97,27 @@ class System:
         return total
 
     def loop(self, nu_hz: np.ndarray) -> np.ndarray:
-        """1 + Y Z (n, 2p, 2p) over all ports for |f - f1| in Hz, inside the band."""
-        s = 2j * np.pi * nu_hz
+        """1 + Y Z (n, 2p, 2p) over all ports on the `contour` for |f - f1| in Hz, inside the band."""
+        s = self.contour(nu_hz)
         return np.eye(2 * len(self.ports)) + self.admittance(s) @ self.impedance(s)
 
-    def clearing_angle(self, nu_hz: np.ndarray) -> np.ndarray:
-        """Angle (n,) in rad of the product of (s - j w)/(s + w1) over the network's poles j w on the axis."""
-        s = 2j * np.pi * nu_hz
+    @cached_property
+    def axis_rad_s(self) -> np.ndarray:
+        """Angular frequencies (k,) from zero on, in dq, at which the network has a mode on the axis."""
         modes = self.network_modes
-        axis = 1j * modes.imag[np.abs(modes.real) <= UNDAMPED * np.maximum(np.abs(modes), self.w1_rad_s)]
-        return np.sum(np.angle((s[:, None] - axis) / (s[:, None] + self.w1_rad_s)), axis=1)
+        undamped = np.abs(modes.real) <= UNDAMPED * np.maximum(np.abs(modes), self.w1_rad_s)
+        return np.unique(np.round(np.abs(modes.imag[undamped]), 6))
+
+    def contour(self, nu_hz: np.ndarray) -> np.ndarray:
+        """s (n,) of the half axis, led past the network's modes on it in half circles on the right.
+
+        There Z is infinite, such as at f = 0 behind a series capacitor. Passed on the right they count as stable.
+        """
+        w = 2.0 * np.pi * np.asarray(nu_hz, dtype=float)
+        if len(self.axis_rad_s) == 0:
+            return 1j * w
+        nearest = np.abs(w[:, None] - self.axis_rad_s).min(axis=1)
+        return 1j * w + np.sqrt(np.maximum(PASSED_RAD_S**2 - nearest**2, 0.0))
 
     def poles(self) -> np.ndarray:
         """Closed-loop poles (m,) in rad/s, dq, conjugates included: finite eigenvalues of one pencil.
