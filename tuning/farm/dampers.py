@@ -76,10 +76,10 @@ def _aimed(
         return _placed(damper, aimed_at(pole, plus, minus, damper.size_s, limit))
     first = 2.0 / float(np.hypot(abs(plus), abs(minus)))  # moves the mode by 2 1/s, to first order
     tried = [_placed(damper, aimed_at(pole, plus, minus, first * 2.0**k, limit)) for k in range(TRIED)]
-    worst = [_largest(entry, (*units, *(o.unit for o in others), one.unit)) for one in tried]
+    worst = [largest_growth(entry, (*units, *(o.unit for o in others), one.unit)) for one in tried]
     best = int(np.argmin(worst))
     between = [_placed(damper, tried[best].device.scaled(factor)) for factor in (0.7, 0.85, 1.2, 1.4)]
-    finer = [_largest(entry, (*units, *(o.unit for o in others), one.unit)) for one in between]
+    finer = [largest_growth(entry, (*units, *(o.unit for o in others), one.unit)) for one in between]
     return between[int(np.argmin(finer))] if min(finer) < worst[best] else tried[best]
 
 
@@ -100,7 +100,7 @@ def rating_va(units: tuple[Unit, ...]) -> float:
     return total if np.isfinite(total) else inf
 
 
-def _largest(entry: FarmEntry, units: tuple[Unit, ...]) -> float:
+def largest_growth(entry: FarmEntry, units: tuple[Unit, ...]) -> float:
     """Largest real part (1/s) of the oscillating modes up to 2 f1 in dq, or of any mode that is unstable."""
     system = system_of(units, entry.network, entry.f1_hz)
     poles = system.poles()
@@ -112,14 +112,15 @@ def _largest(entry: FarmEntry, units: tuple[Unit, ...]) -> float:
 def held_amplitude(entry: FarmEntry, units: tuple[Unit, ...], damper: Damper, steps: int = 24) -> float:
     """Largest oscillation (V) of the bus's voltage from which the critical mode decays with this one damper.
 
-    Infinite where the farm is stable without it, zero where it is unstable with all of it.
+    Infinite where the farm is stable without it, zero where it is unstable with all of it. The devices are linear here:
+    where they leave their own limits or lose synchronism first, less is held.
     """
 
     def growth(part: float) -> float:
         scaled = _placed(damper.entry, damper.device.scaled(part))
-        return _largest(entry, (*units, scaled.unit))
+        return largest_growth(entry, (*units, scaled.unit))
 
-    if _largest(entry, units) < 0.0:
+    if largest_growth(entry, units) < 0.0:
         return inf
     if growth(1.0) >= 0.0:
         return 0.0

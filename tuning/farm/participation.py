@@ -7,13 +7,13 @@ the pole moves by -l dM r / D when M changes by dM: a device's admittance, a con
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ...identify.fit.rational import evaluate, spread
-from ..network.assembly import Branch, Network
+from ..network.assembly import branch_slopes
 from .system import System
 from .units import Unit
 
@@ -104,23 +104,19 @@ def _nodal(system: System, s: np.ndarray) -> np.ndarray:
 
 
 def _branches(system: System, pole: complex, left: np.ndarray, right: np.ndarray, slope: complex) -> np.ndarray:
-    """d(pole)/d(ln z) of every branch: dM = -Z^-1 dZ Z^-1 by a relative change of its impedance."""
-    s = np.array([pole])
-    z_inverse = np.linalg.inv(system.impedance(s)[0])
+    """d(pole)/d(ln z) of every branch: dM = -Z^-1 dZ Z^-1 by a relative change of its impedance.
+
+    Z is one scalar of the phase frame at s + j w1 for v_d + j v_q and at s - j w1 for v_d - j v_q, so that
+    l dZ r = (l_d - j l_q) dZ1 (r_d + j r_q) / 2 + (l_d + j l_q) dZ2 (r_d - j r_q) / 2.
+    """
+    z_inverse = np.linalg.inv(system.impedance(np.array([pole]))[0])
     left_z, right_z = left @ z_inverse, z_inverse @ right
-    found = []
-    for k in range(len(system.network.branches)):
-        more, less = (replace(system, network=_scaled(system.network, k, 1.0 + d)) for d in (_STEP, -_STEP))
-        change = (more.impedance(s)[0] - less.impedance(s)[0]) / (2.0 * _STEP)
-        found.append(left_z @ change @ right_z / slope)
-    return np.array(found)
-
-
-def _scaled(network: Network, k: int, factor: float) -> Network:
-    branches: list[Branch] = list(network.branches)
-    b = branches[k]
-    branches[k] = replace(b, r_ohm=b.r_ohm * factor, l_h=b.l_h * factor, c_f=b.c_f / factor)
-    return Network(tuple(branches), network.lines)
+    total = np.zeros(len(system.network.branches), dtype=complex)
+    for sign in (1.0, -1.0):
+        l_k = left_z[0::2] - sign * 1j * left_z[1::2]
+        r_k = right_z[0::2] + sign * 1j * right_z[1::2]
+        total += branch_slopes(system.network, system.ports, pole + sign * 1j * system.w1_rad_s, l_k, r_k) / 2.0
+    return total / slope
 
 
 def table_weights(system: System, pole: complex, shape: Shape) -> dict[str, np.ndarray]:

@@ -13,9 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from ...identify.fit.rational import evaluate
-from ..network.assembly import Network, assemble, port_impedance
+from ..network.assembly import GROUND, Network, assemble, port_impedance
 from ..network.descriptor import Descriptor, J, rotating
 from ..poles import states
+from .entries import FarmError
+from .tree import Tree, factors, tree_of
 from .units import Unit
 
 UNDAMPED = 1e-9
@@ -100,6 +102,30 @@ class System:
         """1 + Y Z (n, 2p, 2p) over all ports on the `contour` for |f - f1| in Hz, inside the band."""
         s = self.contour(nu_hz)
         return np.eye(2 * len(self.ports)) + self.admittance(s) @ self.impedance(s)
+
+    def by_bus(self, s: np.ndarray) -> dict[str, np.ndarray]:
+        """Admittances (n, 2, 2) in S of the units by bus in the common frame, each model evaluated once."""
+        values = {id(unit.model): evaluate(unit.model, s) for unit in self.units}
+        found: dict[str, np.ndarray] = {}
+        for unit in self.units:
+            y = unit.factor * (unit.turn @ values[id(unit.model)] @ unit.turn.T)
+            found[unit.bus] = found[unit.bus] + y if unit.bus in found else y
+        return found
+
+    @cached_property
+    def tree(self) -> Tree | None:
+        """The network as a tree; None if it has a loop."""
+        root = next(name for name in self.network.branches[-1].ends if name != GROUND)
+        try:
+            return tree_of(self.network, root, None, self.w1_rad_s)
+        except FarmError:
+            return None
+
+    def tree_factors(self, nu_hz: np.ndarray) -> np.ndarray:
+        """(n, 2, k, 2, 2) on the `contour`: the first product of determinants over the second is det(1 + Y Z)."""
+        assert self.tree is not None
+        s = self.contour(nu_hz)
+        return np.stack([factors(self.tree, s, devices) for devices in (self.by_bus(s), {})], axis=1)
 
     @cached_property
     def axis_rad_s(self) -> np.ndarray:

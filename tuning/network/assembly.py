@@ -14,7 +14,7 @@ import numpy as np
 from ...plant.circuits.branches import GROUND, Branch, Places, places_of, stamped
 from .descriptor import Descriptor
 
-__all__ = ["GROUND", "Branch", "Line", "Network", "assemble", "port_impedance", "two_port"]
+__all__ = ["GROUND", "Branch", "Line", "Network", "assemble", "branch_slopes", "port_impedance", "two_port"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +83,35 @@ def port_impedance(network: Network, ports: Sequence[str], s: np.ndarray) -> np.
         _add_line(matrix, at, line, np.asarray(s, dtype=complex))
     right = np.broadcast_to(system.b.astype(complex), (len(matrix), *system.b.shape))
     return -system.c @ _solved(matrix, right)
+
+
+def branch_slopes(
+    network: Network, ports: Sequence[str], s: complex, left: np.ndarray, right: np.ndarray
+) -> np.ndarray:
+    """left dZ right (b,) for a relative change of the impedance of every branch, Z that of the ports at ``s`` (rad/s).
+
+    With M = s E - A of the network without distributed lines, dZ = C M^-1 dM M^-1 B: two solutions serve all branches.
+    """
+    system, at = assemble(network, ports), places_of(network.branches, network.nodes)
+    m = s * system.e - system.a
+    adjoint = np.linalg.solve(m.T, system.c.T @ left)
+    direct = np.linalg.solve(m, system.b @ right)
+    return np.array([_branch_slope(at, k, branch, s, adjoint, direct) for k, branch in enumerate(network.branches)])
+
+
+def _branch_slope(at: Places, k: int, branch: Branch, s: complex, adjoint: np.ndarray, direct: np.ndarray) -> complex:
+    """adjoint dM direct for a relative change of one branch's impedance, where `stamped` has put it."""
+    if branch.has_current:
+        i = at.current[k]
+        found = (s * branch.l_h + branch.r_ohm) * adjoint[i] * direct[i]
+        if k in at.capacitor:
+            v_c = at.capacitor[k]
+            found -= s * branch.c_f * adjoint[v_c] * direct[v_c]
+        return complex(found)
+    ends = [(at.node[name], ratio) for name, ratio in branch.ends.items() if name != GROUND]
+    across = [sum(ratio * x[node] for node, ratio in ends) for x in (adjoint, direct)]
+    y = s * branch.c_f if branch.is_capacitor else 1.0 / branch.r_ohm
+    return complex(-y * across[0] * across[1])
 
 
 def two_port(line: Line, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

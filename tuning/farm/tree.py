@@ -1,0 +1,176 @@
+"""A radial farm reduced from its leaves to the source's bus: 2x2 matrices alone, vectorised over s, linear in size.
+
+With Y_c the admittance of all that stands behind a branch, its impedance z and the multiples a, b with which it is
+connected to the nearer and the farther node, the nearer node sees a^2 Y_c (z Y_c + b^2)^-1. A change dY of a device is
+seen at the source's bus as L dY T, with T the product of -a b (z Y_c + b^2)^-1 along its way and L that of
+-a b (Y_c z + b^2)^-1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from ..network.assembly import GROUND, Branch, Network
+from .entries import FarmError
+
+_EYE = np.eye(2)
+
+
+class Step(NamedTuple):
+    """One branch of the tree, from the node nearer to the source to the farther one."""
+
+    near: str
+    far: str
+    a: float
+    b: float
+    branch: Branch
+
+
+class Tree(NamedTuple):
+    """A radial network seen from its root.
+
+    Attributes
+    ----------
+    root : str
+        The source's bus.
+    steps : tuple of Step
+        Branches between nodes, every farther node after the nearer one.
+    shunts : mapping of str to tuple of Branch
+        Branches to ground by node, the source's own impedance left out.
+    w1_rad_s : float
+        Fundamental angular frequency (rad/s).
+    """
+
+    root: str
+    steps: tuple[Step, ...]
+    shunts: Mapping[str, tuple[Branch, ...]]
+    w1_rad_s: float
+
+
+class Reduced(NamedTuple):
+    """What the root sees at s (n,), and what it sees of each node.
+
+    Attributes
+    ----------
+    y : (n, 2, 2) complex
+        Admittance of the whole (S), dq.
+    left, right : mapping of str to (n, 2, 2) complex
+        A change dY at a node is left dY right at the root.
+    """
+
+    y: np.ndarray
+    left: Mapping[str, np.ndarray]
+    right: Mapping[str, np.ndarray]
+
+
+def tree_of(network: Network, root: str, source: Branch | None, w1_rad_s: float) -> Tree:
+    """The tree of a radial network, the branch ``source`` to ground left out if there is one.
+
+    Raises
+    ------
+    FarmError
+        If the network has a loop.
+    """
+    shunts: dict[str, list[Branch]] = {}
+    at_node: dict[str, list[Branch]] = {}
+    for branch in network.branches:
+        nodes = [name for name in branch.ends if name != GROUND]
+        if len(nodes) == 1 and branch is not source:
+            shunts.setdefault(nodes[0], []).append(branch)
+        for name in nodes if len(nodes) == 2 else []:
+            at_node.setdefault(name, []).append(branch)
+    steps: list[Step] = []
+    seen, used, queue = {root}, set(), [root]
+    while queue:
+        near = queue.pop()
+        for branch in at_node.get(near, []):
+            if id(branch) in used:
+                continue
+            used.add(id(branch))
+            far = next(name for name in branch.ends if name not in (near, GROUND))
+            if far in seen:
+                raise FarmError(f"the network has a loop at {branch.name}: it is not radial")
+            steps.append(Step(near, far, branch.ends[near], branch.ends[far], branch))
+            seen.add(far)
+            queue.append(far)
+    return Tree(root, tuple(steps), {node: tuple(found) for node, found in shunts.items()}, w1_rad_s)
+
+
+def reduced(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray], with_ways: bool = False) -> Reduced:
+    """The tree at complex s (n,) in rad/s, dq.
+
+    Parameters
+    ----------
+    tree : Tree
+        The network.
+    s : (n,) complex
+        Where.
+    devices : mapping of str to (n, 2, 2) complex
+        Admittance (S) of the devices of a node, in the common frame.
+    with_ways : bool
+        Whether ``left`` and ``right`` are wanted.
+    """
+    y = _at_nodes(tree, s, devices)
+    ways: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for step in reversed(tree.steps):
+        z = _dq(tree, step.branch, s)
+        behind = y[step.far]
+        seen = np.linalg.inv(z @ behind + step.b**2 * _EYE)
+        y[step.near] = y[step.near] + step.a**2 * (behind @ seen)
+        if with_ways:
+            back = -step.a * step.b * np.linalg.inv(behind @ z + step.b**2 * _EYE)
+            ways[step.far] = back, -step.a * step.b * seen
+    whole = np.broadcast_to(_EYE.astype(complex), (len(s), 2, 2))
+    left, right = {tree.root: whole}, {tree.root: whole}
+    for step in tree.steps if with_ways else ():
+        back, forth = ways[step.far]
+        left[step.far], right[step.far] = left[step.near] @ back, forth @ right[step.near]
+    return Reduced(y[tree.root], left, right)
+
+
+def factors(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n, k + 1, 2, 2): z Y + b^2 of every branch, and what stands at the root.
+
+    The product of their determinants is that of the nodal matrix of the whole, but for a factor of the branches alone.
+    """
+    y = _at_nodes(tree, s, devices)
+    found = []
+    for step in reversed(tree.steps):
+        factor = _dq(tree, step.branch, s) @ y[step.far] + step.b**2 * _EYE
+        y[step.near] = y[step.near] + step.a**2 * (y[step.far] @ np.linalg.inv(factor))
+        found.append(factor)
+    return np.stack([*found, y[tree.root]], axis=1)
+
+
+def _at_nodes(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What stands at every node itself: devices and shunts."""
+    nothing = np.zeros((len(s), 2, 2), dtype=complex)
+    y = dict.fromkeys((tree.root, *(step.far for step in tree.steps)), nothing)
+    for node, found in devices.items():
+        y[node] = y[node] + found
+    for node, branches in tree.shunts.items():
+        for branch in branches:
+            if node in y:
+                y[node] = y[node] + branch.ends[node] ** 2 * _dq(tree, branch, s, _admittance)
+    return y
+
+
+def _impedance(branch: Branch, s: np.ndarray) -> np.ndarray:
+    z = branch.r_ohm + s * branch.l_h
+    return np.asarray(z + 1.0 / (s * branch.c_f)) if branch.c_f < inf else np.asarray(z)
+
+
+def _admittance(branch: Branch, s: np.ndarray) -> np.ndarray:
+    z = branch.r_ohm + s * branch.l_h
+    return np.asarray(s * branch.c_f / (1.0 + s * branch.c_f * z)) if branch.c_f < inf else np.asarray(1.0 / z)
+
+
+def _dq(tree: Tree, branch: Branch, s: np.ndarray, of: Callable[..., np.ndarray] = _impedance) -> np.ndarray:
+    """What a branch is (n, 2, 2) in dq: one scalar of the phase frame at s + j w1 and at s - j w1."""
+    one, other = (of(branch, s + sign * 1j * tree.w1_rad_s) for sign in (1.0, -1.0))
+    own, turned = (one + other) / 2.0, (one - other) / 2j
+    return np.stack([np.stack([own, -turned], -1), np.stack([turned, own], -1)], -2)
