@@ -103,6 +103,8 @@ class PlantCard:
         Whether threads are worth while.
     fingerprint : mapping
         What the table remembers of it.
+    ideal_only : str
+        Why it stands on an ideal source only; empty where it does not.
     """
 
     id: str
@@ -114,6 +116,7 @@ class PlantCard:
     listens: bool
     releases_gil: bool
     fingerprint: Mapping[str, Any]
+    ideal_only: str = ""
 
 
 def register(plant_id: str, target: str, *, black_box: bool = False) -> None:
@@ -218,6 +221,7 @@ def card_of(plant: Plant, spec: PlantSpec) -> PlantCard:
         listens=isinstance(plant, PhasorPlant),
         releases_gil=releases_gil(plant),
         fingerprint=json.loads(json.dumps(fingerprint(plant, spec))),
+        ideal_only=str(getattr(plant, "ideal_only", "")),
     )
 
 

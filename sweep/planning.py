@@ -51,9 +51,10 @@ def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
     signal, points, warnings = _signal_and_points(config, card)
     conditions = tuple(_condition(section, card) for section in config.operating_point)
     _check_range(conditions, card)
+    source = _source(config.source, card)
+    _check_source(source, conditions, card)
     voltage_like = config.injection.kind == "series_voltage"
     peak = card.rating.peak_voltage_v if voltage_like else card.rating.peak_current_a
-    source = _source(config.source, card)
     return Plan(
         hosting=Hosting(
             spec, runs_isolated(spec.id, config.plant.isolate), config.plant.timeout_s, config.plant.memory_mb
@@ -78,6 +79,17 @@ def make_plan(config: Config, plant: Plant | PlantCard) -> Plan:
         warnings=(*warnings, *_lateness(card, points)),
         adaptive=_adaptive(config.sweep),
     )
+
+
+def _check_source(source: Source, conditions: Sequence[Condition], card: PlantCard) -> None:
+    """Refuse to stand a plant behind an impedance that says it cannot."""
+    behind = [condition.op_id for condition in conditions if condition.grid is not None]
+    if card.ideal_only and (behind or source.kind != "ideal" or source.settle_on is not None):
+        what = f"operating point {behind[0]!r} has a grid" if behind else "[source] is not ideal"
+        raise PlanError(
+            f"{card.id} stands on an ideal source only, for {card.ideal_only}, and {what}: leave it out. "
+            "The admittance is the same on an ideal source; the grid is given to seqsweep tune"
+        )
 
 
 def _lateness(card: PlantCard, points: Sequence[Frequency]) -> Iterator[str]:

@@ -129,6 +129,8 @@ class DrivenPlant:
         If ``hold`` is neither.
     """
 
+    ideal_only = "it goes forwards and never back"
+
     def __init__(
         self,
         identity: Identity,

@@ -179,6 +179,11 @@ class StepPlant:
         """Whether the step function is compiled."""
         return hasattr(self._step, "py_func")
 
+    @property
+    def ideal_only(self) -> str:
+        """Why it stands on an ideal source only, where it does."""
+        return 'hold = "mean" is known there alone (hold = "start" and a small step are not)' * (self._hold == "mean")
+
     # ------------------------------------------------------------------ steady state
 
     def settle(self, operating_point: OperatingPoint, source: Source) -> StepState:
