@@ -1,4 +1,4 @@
-"""A device that stands on an ideal source only is refused behind a grid before anything is driven, and by whatever way it is asked."""
+"""A device that stands on an ideal source only is refused behind a grid, before anything is driven."""
 
 from __future__ import annotations
 
@@ -54,9 +54,8 @@ def test_a_sweep_behind_a_grid_is_refused_with_the_way_out() -> None:
 )
 def test_a_campaign_that_puts_it_there_is_a_wrong_call(lines: dict, words: str, tmp_path) -> None:
     path = tmp_path / "campaign.toml"
-    path.write_text(
-        CAMPAIGN.format(**{"peer": PEER, "plant": "", "point": "terminal_voltage_pu = 1.0", **lines}), "utf-8"
-    )
+    usual = {"peer": PEER, "plant": "", "point": "terminal_voltage_pu = 1.0"}
+    path.write_text(CAMPAIGN.format(**{**usual, **lines}), "utf-8")
     done = command("run", path, "-o", tmp_path / "y.parquet", "--jobs", 1)
     assert done.returncode == 2
     assert words in done.stderr
