@@ -11,7 +11,7 @@ import typer
 
 from ...tuning.layout import folded
 
-UNKNOWN = 100
+UNKNOWN = 80
 """Columns that a table may take where nobody says how wide the output is."""
 
 
