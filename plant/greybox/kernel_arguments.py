@@ -129,7 +129,7 @@ def warm_up() -> None:
     network, store = circuit.network(TurbineParameters(), Source(), 1e-4), kernel.Store(1.0, 0.0, 1e-4, 0, 0.0, 0.0)
     quantities, x = np.zeros(kernel.N_QUANTITIES), np.zeros(6, complex)
     kernel.inform(box, network, store, quantities, x, 0j, 1.0)
-    common = (box, source, network, store, 0, quantities, x, 1.0)
+    common = (box, source, network, store, 0, quantities, x, np.array([1.0, kernel.DONE]))
     v, i, seen = np.zeros(1, complex), np.zeros(1, complex), np.zeros(2, complex)
     kernel.advance_recording(*common, v, i)
     for skew in (None, kernel.Skew(network, source.forcing, 1j)):

@@ -271,8 +271,8 @@ class SampledTurbine:
         self.controller = controller = self.controller.renewed()
         network, store, quantities = self._surroundings(state)
         box = self._box()
-        v_dc = kernel.inform(box, network, store, quantities, state.x, state.v_source, state.energy)
-        per = 0.5 * v_dc if self._map.modulated else 1.0
+        kernel.inform(box, network, store, quantities, state.x, state.v_source, state.energy)
+        per = 0.5 * quantities[kernel.V_DC] if self._map.modulated else 1.0
         for part in self._map.outputs:
             value = (command * part.direction.conjugate()).real * part.gain / per
             getattr(box.outputs, part.type)[part.cell] = value
@@ -334,13 +334,13 @@ class SampledTurbine:
         seen, share = np.full(n_steps + 1, np.nan, complex), 1.0 - exp(-self.dt_s / SIGHT_S)
         seen[0], angle_rad = state.sight or self._sight(state)
 
-        def go_on(box: Any, source: Any, network: Any, *others: Any) -> Any:
+        def go_on(box: Any, source: Any, network: Any, *others: Any) -> None:
             skew = None
             if any(conditions.fault_s):
                 fault = self.parameters, start.source, self.f1_hz, self.dt_s, conditions.fault_s
                 network, forcing, skew = cached_fault(*fault)
                 source = source._replace(forcing=forcing)
-            return kernel.advance_tracing(box._replace(port=port), source, network, skew, *others)
+            kernel.advance_tracing(box._replace(port=port), source, network, skew, *others)
 
         end = self._advance(Job(start, None), n_steps, go_on, v, i, v_dc, seen, share)
         sync = np.unwrap(np.append(angle_rad, np.angle(seen[1:])))[1:]
@@ -410,9 +410,9 @@ class SampledTurbine:
         controller.restore(state.memory)
         x = state.x.copy()
         network, store, quantities = self._surroundings(state)
-        energy, how = kernel_of(
-            self._box(), self._tones(job), network, store, state.step, quantities, x, state.energy, *listening
-        )
+        ending = np.array([state.energy, kernel.DONE])
+        kernel_of(self._box(), self._tones(job), network, store, state.step, quantities, x, ending, *listening)
+        energy, how = ending.tolist()
         controller.check()
         if how == kernel.REFUSED:
             raise controller.refusal()

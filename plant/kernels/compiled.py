@@ -38,6 +38,9 @@ _WITHOUT_MEANING = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS")
 """Settings of numba that do not change the code."""
 
 _STACK = " alignstack(64)"
+_LIBM = {"atan2", "cos", "exp", "fmod", "hypot", "log", "pow", "sin", "sqrt", "tan"}
+"""Functions that every process of Python has at hand."""
+
 _ARRAY_HEAD, _VALUES = "pp", {"f": "double", "i": "i64", "p": "ptr", "b": "i8"}
 
 _lock = threading.RLock()
@@ -52,6 +55,24 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return functools.partial(njit, **options)
     return function if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0") else Kernel(function, options)
+
+
+class intrinsic:
+    """`numba.extending.intrinsic`, but that numba is imported only where there is something to compile."""
+
+    def __init__(self, function: Callable[..., Any]):
+        functools.update_wrapper(self, function)
+        self._function = function
+
+    @functools.cached_property
+    def _numba_type_(self) -> Any:
+        """How numba sees this function among the names that a kernel uses."""
+        from numba.core.registry import cpu_target
+        from numba.extending import intrinsic as of_numba
+
+        made, context = of_numba(self._function), cpu_target.typing_context
+        context.refresh()  # what was registered just now
+        return context.resolve_value_type(made)
 
 
 class Kernel:
@@ -161,14 +182,14 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], arguments: 
 
 
 def _stands_alone(text: str, name: str, arguments: Sequence[Any]) -> bool:
-    """Whether the function takes what `_values` gives, and asks for nothing but LLVM's own functions."""
+    """Whether the function takes what `_values` gives, and asks for nothing but LLVM's own functions and libm's."""
     head = re.search(rf'^define .*@"?{re.escape(name)}"?\((.*?)\) local_unnamed_addr|^\Z', text, re.MULTILINE)
     if head is None or head[1] is None:
         return False
     taken = [part.split()[0] for part in re.sub(r"\([^()]*(\([^()]*\)[^()]*)*\)", "", head[1]).split(",")]
     given = ["ptr", "ptr", *(_VALUES[letter] for argument in arguments for letter in _letters(argument))]
     asked = re.findall(r'^declare .*?@"?([\w.]+)"?\(', text, re.MULTILINE)
-    return taken == given and all(function.startswith("llvm.") for function in asked)
+    return taken == given and all(function.startswith("llvm.") or function in _LIBM for function in asked)
 
 
 def _object_code(library: Any) -> bytes:

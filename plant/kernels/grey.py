@@ -13,12 +13,11 @@ one of them, `Wiring` says which cell holds which quantity.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+
+from .compiled import intrinsic, njit
 
 # Quantities that a controller may be told; vectors are re, im. The last one is zero.
 V_RE, V_IM, V_F_RE, V_F_IM, I_L_RE, I_L_IM, I_G_RE, I_G_IM = range(8)
@@ -203,17 +202,17 @@ class Tones(NamedTuple):
     table: np.ndarray
 
 
-def _call(typing_context, function, argument):
+@intrinsic
+def _called(typing_context, function, argument):
     """Result (int32) of the C function at address ``function``, given the address ``argument``."""
+    from llvmlite import ir
+    from numba import types
 
     def code(context, builder, signature, arguments):
         prototype = ir.FunctionType(ir.IntType(32), [ir.IntType(64)])
         return builder.call(builder.inttoptr(arguments[0], prototype.as_pointer()), [arguments[1]])
 
     return types.int32(types.int64, types.int64), code
-
-
-_called: Any = intrinsic(_call)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -410,16 +409,20 @@ def _step(box, source, network, skew, store, step, quantities, x, energy):
     return v, i, energy, DONE if energy > 0.0 else EMPTY
 
 
-@njit(cache=True)
+@njit(forceinline=True, error_model="numpy")
+def _leave(ending, energy, end):
+    ending[0], ending[1] = energy, end
+
+
+@njit(error_model="numpy", cache=True)
 def inform(box, network, store, quantities, x, e, energy):
-    """Tell the controller what is measured with the states ``x`` under the source voltage ``e``; v_dc (V)."""
+    """Tell the controller, and ``quantities``, what is measured with states ``x`` under the source voltage ``e``."""
     _observe(x, e, energy, network, None, store, quantities)
     _inform(box, quantities)
-    return quantities[V_DC]
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
-def advance_recording(box, source, network, store, step, quantities, x, energy, v_out, i_out):
+def advance_recording(box, source, network, store, step, quantities, x, ending, v_out, i_out):
     """Fill ``v_out`` and ``i_out`` with v_pcc and i_g before each step.
 
     Parameters
@@ -432,32 +435,30 @@ def advance_recording(box, source, network, store, step, quantities, x, energy, 
         References set, the rest is filled in.
     x : (6,) complex
         States of the network, the command that waits (with a delay) and two of the port; moved on in place.
-    energy : float
-        Of the DC link (J).
-
-    Returns
-    -------
-    energy, end
-        Energy after the last step, and how it ended; what was not reached is left as it was.
+    ending : (2,) float
+        Energy of the DC link (J), moved on in place, and how it ended; what was not reached is left as it was.
     """
+    energy, end = ending[0], DONE
     for k in range(len(v_out)):
         v_out[k], i_out[k], energy, end = _step(box, source, network, None, store, step + k, quantities, x, energy)
         if end != DONE:
-            return energy, end
-    return energy, DONE
+            break
+    _leave(ending, energy, end)
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
 def advance_tracing(
-    box, source, network, skew, store, step, quantities, x, energy, v_out, i_out, v_dc_out, seen, seen_share
+    box, source, network, skew, store, step, quantities, x, ending, v_out, i_out, v_dc_out, seen, seen_share
 ):
     """`advance_recording` with v_dc and, seen from the source, a slow view of v_pcc besides.
 
     ``skew`` is None but for an unbalanced fault. ``seen`` (n + 1,) follows v_pcc over the source's first tone by
     ``seen_share`` of the way in a step; its first value is given, the others are those behind each step.
     """
+    energy, end = ending[0], DONE
     if not energy > 0.0:  # the step before this stretch was the last one
-        return energy, EMPTY
+        _leave(ending, energy, EMPTY)
+        return
     e = source.phasors[0]
     per_square = 1.0 / (e.real**2 + e.imag**2)
     for k in range(len(v_out)):
@@ -466,30 +467,34 @@ def advance_tracing(
         v_dc_out[k] = quantities[V_DC]
         seen[k + 1] = seen[k] + seen_share * (v_out[k] * e * per_square - seen[k])
         if end != DONE:
-            return energy, end
-    return energy, DONE
+            break
+    _leave(ending, energy, end)
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
 def advance_blocks(
-    box, source, network, store, step, quantities, x, energy, lines, line_rotations, taper, turn, block_steps, sums
+    box, source, network, store, step, quantities, x, ending, lines, line_rotations, taper, turn, block_steps, sums
 ):
     """Advance by blocks; ``sums[block]`` receives the tapered sums of v_pcc at both ``lines``, then of i_g.
 
     ``lines`` (2,) are the phasors exp(-2j pi f t) at the first step, moved on in place; ``taper`` is the taper's
-    phasor, which turns by ``turn`` per step. The rest, and what is returned, is as in `advance_recording`.
+    phasor, which turns by ``turn`` per step. The rest is as in `advance_recording`.
     """
-    sums[:] = 0.0
+    energy, end = ending[0], DONE
+    for block in range(len(sums)):
+        for k in range(4):
+            sums[block, k] = 0.0
     for block in range(len(sums)):
         for k in range(block_steps):
             now = step + block * block_steps + k
             v, i, energy, end = _step(box, source, network, None, store, now, quantities, x, energy)
             if end != DONE:
-                return energy, end
+                _leave(ending, energy, end)
+                return
             weight = TAPER_0 + taper.real * (TAPER_1 + taper.real * TAPER_2)
             for line in range(2):
                 sums[block, line] += weight * v * lines[line]
                 sums[block, 2 + line] += weight * i * lines[line]
                 lines[line] *= line_rotations[line]
             taper *= turn
-    return energy, DONE
+    _leave(ending, energy, end)

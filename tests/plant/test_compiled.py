@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -181,16 +180,21 @@ def test_a_kernel_of_the_product_is_the_same_as_numbas_own():
     assert found[0] == found[1]
 
 
-def test_the_reference_turbine_is_swept_without_numba(tmp_path):
-    """A warm process settles and steps the turbine; numba stays unread on the disk."""
-    text = textwrap.dedent("""
-        import sys
-        from seqsweep.plant.protocol import Job, OperatingPoint, Source
-        from seqsweep.plant.registry import make_plant
-        plant = make_plant("dpmsg-v1")
-        state = plant.settle(OperatingPoint(0.65e6, 690.0), Source())
-        plant.run([Job(state, None)], 20)
-        print("numba" in sys.modules, "scipy" in sys.modules)
-    """)
+TURBINE = """
+from seqsweep.plant.protocol import Job, OperatingPoint, Source
+from seqsweep.plant.registry import make_plant
+plant = make_plant("dpmsg-v1")
+state = plant.settle(OperatingPoint(0.65e6, 690.0), Source())
+plant.run([Job(state, None)], 20)
+"""
+SEALED_CONTROLLER = """
+from seqsweep.plant.greybox.kernel_arguments import warm_up
+warm_up()
+"""
+
+
+@pytest.mark.parametrize("work", [TURBINE, SEALED_CONTROLLER], ids=["turbine", "sealed controller"])
+def test_a_warm_process_does_without_numba(work):
+    text = f'import sys\n{work}\nprint("numba" in sys.modules, "scipy" in sys.modules)'
     said = [subprocess.run([sys.executable, "-c", text], capture_output=True, text=True).stdout for _ in range(2)]
     assert said[1] == "False False\n"

@@ -39,7 +39,7 @@ def ran(source: Source, tones, wave, first_step: int, n_steps: int):
     store = kernel.Store(1.0, 0.0, DT_S, 0, 0.0, 0.0)
     v, i = np.empty(n_steps, complex), np.empty(n_steps, complex)
     x, quantities = np.zeros(6, complex), np.zeros(kernel.N_QUANTITIES)
-    surroundings = network(TABLE_I, source, DT_S), store, first_step, quantities, x, 1e6
+    surroundings = network(TABLE_I, source, DT_S), store, first_step, quantities, x, np.array([1e6, kernel.DONE])
     kernel.advance_recording(box, phasors, *surroundings, v, i)
     return v, i
 
