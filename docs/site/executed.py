@@ -25,6 +25,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -40,7 +41,7 @@ PROGRAM = ("seqsweep", "plant", "identify", "tuning", "sweep", "examples", "data
 CLONE = ("examples", "data", "tests/support/boxes")
 """What a session finds in its folder."""
 
-MOST_S = 300.0
+MOST_S = 900.0
 """Wall time (s) that one command may take."""
 
 STEP = re.compile(
@@ -51,7 +52,7 @@ STEP = re.compile(
     re.DOTALL,
 )
 LEFT_OUT = "..."
-PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots|sweeps)\b|took \d|\s*waiting\b")
+PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots|sweeps)\b|took \d|.*\bgiven up in \d")
 Step = tuple[str, str, str]
 """Kind (run, file, picture), name, and command, text or file."""
 
@@ -81,7 +82,7 @@ class Session:
         """What a command prints, standard output and error as a terminal mixes them."""
         where = self.folder.parent / "where"
         script = f"trap 'pwd > {where}' EXIT\n(exit {self.status})\n{command}"
-        done = subprocess.run(
+        done = subprocess.Popen(
             ["bash", "-c", script],
             cwd=self.there,
             env=_environment(),
@@ -89,11 +90,16 @@ class Session:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            timeout=MOST_S,
+            start_new_session=True,
         )
+        try:
+            said, _ = done.communicate(timeout=MOST_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(done.pid, signal.SIGKILL)
+            raise SessionFailed(f"$ {command}\ntook longer than {MOST_S:g} s") from None
         self.status = done.returncode
         self.there = Path(where.read_text().strip())
-        return done.stdout.replace(str(self.folder), "/home/you/seqsweep")
+        return said.replace(str(self.folder), "/home/you/seqsweep")
 
 
 def _environment() -> dict[str, str]:
@@ -143,7 +149,7 @@ def steps_of(text: str) -> list[Step]:
 
 def run_session(steps: Sequence[Step], pictures: Path) -> list[str]:
     """What the shown commands of a session print, run in a folder of their own; its pictures go to ``pictures``."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         top = Path(folder) / "seqsweep"
         for name in CLONE:
             shutil.copytree(TOP / name, top / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -277,23 +283,29 @@ def refreshed(path: Path, program: str) -> dict[Path, bytes]:
     return {path: rewritten(text, printed).encode(), **pictures}
 
 
+def bring(page: Path, program: str, check: bool) -> bool:
+    """Write a page and its pictures as they are now, or with ``check`` say how the page differs; whether it did."""
+    refreshed(page, program)
+    fresh = refreshed(page, program)  # from what is kept: the page may have been edited meanwhile
+    stale = {path: now for path, now in fresh.items() if not path.exists() or path.read_bytes() != now}
+    for path, now in stale.items():
+        print(f"{path.relative_to(TOP)} is not what its commands give now", flush=True)
+        if not check:
+            path.write_bytes(now)
+    if check and page in stale:
+        old, new = page.read_text("utf-8").splitlines(), stale[page].decode().splitlines()
+        print(*difflib.unified_diff(old, new, lineterm=""), sep="\n", flush=True)
+    return page in stale
+
+
 def main(names: Sequence[str]) -> int:
     """Refresh all pages, or the named ones; with ``--check`` only say which are out of date."""
     check = "--check" in names
     chosen = [Path(name).resolve() for name in names if name != "--check"] or pages()
     program = program_digest()
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda page: refreshed(page, program), chosen))
-    fresh = {path: now for page in chosen for path, now in refreshed(page, program).items()}  # pages edited meanwhile
-    stale = {path: now for path, now in fresh.items() if not path.exists() or path.read_bytes() != now}
-    for path, now in stale.items():
-        print(f"{path.relative_to(TOP)} is not what its commands give now")
-        if check and path.suffix == ".md":
-            old, new = path.read_text("utf-8").splitlines(), now.decode().splitlines()
-            print(*difflib.unified_diff(old, new, lineterm=""), sep="\n")
-        elif not check:
-            path.write_bytes(now)
-    return int(check and any(path.suffix == ".md" for path in stale))
+        stale = list(pool.map(lambda page: bring(page, program, check), chosen))
+    return int(check and any(stale))
 
 
 if __name__ == "__main__":
