@@ -15,7 +15,7 @@ from .feeding import ACTIVE, activity, is_fed
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop_poles, is_beyond, is_swept
 from .probability import DECIDED, DECIDED_AT, Doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
-from .rows import Rows, difference
+from .rows import Rows, difference, misfits
 from .siso import Grid
 from .unseen import Unseen, overruled
 from .winding import Winding
@@ -115,7 +115,12 @@ def _too_few_rows(case: Case) -> str:
         return ""
     most = min(MAX_ORDER, (len(model.nu_hz) - 1) // 2)
     unexplained = model.weighting != "covariance" or model.residual > _UNEXPLAINED
-    if case.rows is None or model.order + 2 <= most or not unexplained or _misfit(case.rows, model) < _ROUGH:
+    if (
+        case.rows is None
+        or model.order + 2 <= most
+        or not unexplained
+        or np.median(misfits(case.rows.data, model)) < _ROUGH
+    ):
         return ""
     return (
         f"{len(model.nu_hz)} rows tell no more than {most} poles apart, and the device has more: the fit leaves more "
@@ -125,17 +130,8 @@ def _too_few_rows(case: Case) -> str:
 
 def _is_exact(rows: Rows, model: RationalModel) -> bool:
     """Whether the fit meets every row, with half as many parameters as numbers: eight rows tell no more than that."""
-    y = rows.data.y
-    error = np.linalg.norm(evaluate(model, 2j * np.pi * rows.data.nu_hz) - y, axis=(1, 2))
-    overdetermined = len(model.covariance_root) <= y.size
-    return bool(overdetermined and np.all(error < _EXACT * np.linalg.norm(y, axis=(1, 2))))
-
-
-def _misfit(rows: Rows, model: RationalModel) -> float:
-    """Median of the rows' misfits relative to Y."""
-    y = rows.data.y
-    error = np.linalg.norm(evaluate(model, 2j * np.pi * rows.data.nu_hz) - y, axis=(1, 2))
-    return float(np.median(error / np.linalg.norm(y, axis=(1, 2))))
+    overdetermined = len(model.covariance_root) <= rows.data.y.size
+    return bool(overdetermined and np.all(misfits(rows.data, model) < _EXACT))
 
 
 def _open_end(case: Case) -> str:

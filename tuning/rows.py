@@ -54,6 +54,12 @@ def rows_of(data: DqData) -> Rows:
     return Rows(data, local_rational(data))
 
 
+def misfits(data: DqData, model: RationalModel) -> np.ndarray:
+    """||Yfit - Y||_F / ||Y||_F (n,) of the rows."""
+    error = np.linalg.norm(evaluate(model, 2j * np.pi * data.nu_hz) - data.y, axis=(1, 2))
+    return np.asarray(error / np.linalg.norm(data.y, axis=(1, 2)))
+
+
 def believed(rows: Rows, model: RationalModel) -> Rows:
     """The rows without those that the fit left out for disagreeing with their neighbours."""
     data = rows.data

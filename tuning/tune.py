@@ -11,8 +11,8 @@ import numpy as np
 
 from ..identify.exclusion import excluded
 from ..identify.fit.dq_data import to_dq
-from ..identify.fit.model import MIN_POINTS, fit_response
-from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn
+from ..identify.fit.model import MIN_POINTS, fit_rows
+from ..identify.fit.rational import RationalModel, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError, place_of
@@ -23,7 +23,7 @@ from .grids.in_time import grid_of_fact
 from .intervals import margin_interval, scale_interval
 from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
 from .result import PointTuning, TuningResult
-from .rows import Rows, believed, rows_of
+from .rows import Rows, believed, misfits, rows_of
 from .siso import Grid, check_fundamental
 from .verdict import Stability, judge, swept_band
 
@@ -138,18 +138,11 @@ def fitted(response: FrequencyResponse) -> Device:
         return Device(response, problem=problem)
     rows = rows_of(to_dq(response))
     anchor = anchor_of(response.meta, rows, response.f1_hz)
-    model = fit_response(response, n_unstable=anchor.n_unstable)
-    misfit = relative_misfit(model, response)
+    model = fit_rows(rows.data, response.f1_hz, n_unstable=anchor.n_unstable)
+    misfit = float(np.median(misfits(rows.data, model)))
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
     return Device(response, believed(rows, model), anchor, model, problem)
-
-
-def relative_misfit(model: RationalModel, response: FrequencyResponse) -> float:
-    """Median of ||Yfit - Y||_F / ||Y||_F over the usable rows."""
-    data = to_dq(response)
-    error = np.linalg.norm(evaluate(model, 2j * np.pi * data.nu_hz) - data.y, axis=(1, 2))
-    return float(np.median(error / np.linalg.norm(data.y, axis=(1, 2))))
 
 
 def _judged(

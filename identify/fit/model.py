@@ -96,12 +96,25 @@ def fit_response(
             "sweep more frequencies, or repair the rows whose status is not 'ok'"
         )
     known = _proved(response) if n_unstable is None else n_unstable
-    problem = weighted(data, noise_floor)._replace(n_unstable=known)
+    return fit_rows(data, response.f1_hz, max_order=max_order, noise_floor=noise_floor, start=start, n_unstable=known)
+
+
+def fit_rows(
+    data: DqData,
+    f1_hz: float,
+    *,
+    max_order: int = MAX_ORDER,
+    noise_floor: float = 1e-7,
+    start: RationalModel | None = None,
+    n_unstable: int | None = None,
+) -> RationalModel:
+    """`fit_response` of rows that are in the dq frame already; ``n_unstable`` None: whatever fits."""
+    problem = weighted(data, noise_floor)._replace(n_unstable=n_unstable)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
     trial = select_order(problem, max_order, start)
     part = _unexplained_part(problem, trial)
     if part is not None:
-        problem = weighted(data, noise_floor, part)._replace(n_unstable=known)
+        problem = weighted(data, noise_floor, part)._replace(n_unstable=n_unstable)
         trial = select_order(problem, max_order, start)
     trial = from_interpolant(problem, data, refine(problem, trial))
     problem, trial, outlying = leave_out_outliers(problem, trial, max_order)
@@ -113,7 +126,7 @@ def fit_response(
     trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_instability(problem, trial)
-    return finished(problem, response.f1_hz, trial, outlying + notes, removed + mirrored)
+    return finished(problem, f1_hz, trial, outlying + notes, removed + mirrored)
 
 
 def _proved(response: FrequencyResponse) -> int | None:

@@ -134,11 +134,14 @@ def gradient(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndar
 
 def row_slopes(model: RationalModel) -> np.ndarray:
     """Derivatives (8 n, k) of the weighted rows with respect to the real parameters; of a row re of four, then im."""
-    s = 2j * np.pi * model.nu_hz
-    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
-    slopes = np.stack([gradient(model, s, np.broadcast_to(u, (len(s), 2, 2))) for u in units], axis=1)
-    slopes = slopes * model.weight[:, :, None]
-    return np.concatenate([slopes.real, slopes.imag], axis=1).reshape(2 * ELEMENTS * len(s), -1)
+    slopes = _element_slopes(model, 2j * np.pi * model.nu_hz) * model.weight[:, :, None]
+    return np.concatenate([slopes.real, slopes.imag], axis=1).reshape(2 * ELEMENTS * len(model.nu_hz), -1)
+
+
+def _element_slopes(model: RationalModel, s: np.ndarray) -> np.ndarray:
+    """`gradient` of each of dd, dq, qd, qq: (n, 4, k)."""
+    units = np.tile(np.eye(ELEMENTS).reshape(ELEMENTS, 2, 2), (len(s), 1, 1))
+    return gradient(model, np.repeat(s, ELEMENTS), units).reshape(len(s), ELEMENTS, -1)
 
 
 def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
@@ -173,8 +176,7 @@ def with_errors(model: RationalModel, s: np.ndarray, errors: np.ndarray) -> np.n
     Moving the parameters themselves would be worse: neighbouring poles, only combinations of which are known, would
     take Y, of second order, to where no row lets it be.
     """
-    units = np.eye(ELEMENTS).reshape(ELEMENTS, 1, 2, 2)
-    slopes = np.stack([gradient(model, s, np.broadcast_to(unit, (len(s), 2, 2))) for unit in units], axis=1)
+    slopes = _element_slopes(model, s)
     change = errors[..., :-1] @ model.covariance_root.T
     y = evaluate(model, s)
     moved = y + (change @ slopes.reshape(-1, slopes.shape[2]).T).reshape(*errors.shape[:-1], *y.shape)

@@ -38,12 +38,13 @@ def rotating(phase: Descriptor, w1_rad_s: float) -> Descriptor:
     With x = (x_d + j x_q) exp(j w1 t), E x' = A x becomes E (x) 1 x' = (A (x) 1 - w1 E (x) J) x.
     """
     one = np.eye(2)
-    return Descriptor(
-        np.kron(phase.e, one),
-        np.kron(phase.a, one) - w1_rad_s * np.kron(phase.e, J),
-        np.kron(phase.b, one),
-        np.kron(phase.c, one),
-    )
+    turned = _kronecker(phase.a, one) - w1_rad_s * _kronecker(phase.e, J)
+    return Descriptor(_kronecker(phase.e, one), turned, _kronecker(phase.b, one), _kronecker(phase.c, one))
+
+
+def _kronecker(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """`numpy.kron` of two matrices, without what it spends on arrays of any shape."""
+    return (a[:, None, :, None] * b[:, None, :]).reshape(a.shape[0] * b.shape[0], a.shape[1] * b.shape[1])
 
 
 class Triangular(NamedTuple):
