@@ -22,6 +22,9 @@ FRESH = 2
 WIDER = 2.0
 """A bar holds at 95 of 100 places; the largest error of all places and frequencies is to stay below the certificate."""
 
+WIDTH = 0.02
+"""Parts of its feature's range to which the border of a jump is located."""
+
 _CANDIDATES = 512
 _APART = 0.02  # a candidate closer to a swept point, in parts of the region, would tell nothing
 
@@ -37,17 +40,22 @@ class Progress:
     at : (3,) float
         Where it stands (MW, Mvar, pu).
     missed : tuple of float
-        By how much the latest sweeps missed their prediction at most, relative to ||Y||, oldest first.
+        By how much the latest sweeps missed their prediction at most, relative to ||Y||, oldest first; sweeps that were
+        made where nothing was predicted, in the gap of a jump, are not among them.
+    width : float
+        Of the gap of a jump, in parts of the feature's range; zero without one.
     """
 
     largest_bar: float
     at: np.ndarray
     missed: tuple[float, ...]
+    width: float = 0.0
 
     def is_certified(self, tolerance: float) -> bool:
         """Whether the bar, `WIDER` times, and the last `FRESH` sweeps agree with the tolerance."""
         fresh = self.missed[-FRESH:]
-        return WIDER * self.largest_bar <= tolerance and len(fresh) == FRESH and max(fresh) <= tolerance
+        known = self.width <= WIDTH and WIDER * self.largest_bar <= tolerance
+        return known and len(fresh) == FRESH and max(fresh) <= tolerance
 
 
 def first_count(n_axes: int) -> int:
@@ -76,6 +84,7 @@ def first_points(region: Region, seed: int = 0) -> np.ndarray:
 def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]:
     """The operating point (3,) of the region with the largest bar, not too near a swept one, and that bar."""
     candidates = region.samples(_CANDIDATES)
+    candidates = candidates[surrogate.holds(candidates)]
     relative = surrogate.evaluate(candidates).relative.max(axis=1)
     axes = np.flatnonzero(region.varies)
     size = (region.high - region.low)[axes]
@@ -83,6 +92,15 @@ def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]
     free = apart.max(axis=2).min(axis=1) > _APART
     ranked = np.where(free, relative, -1.0)
     return candidates[int(np.argmax(ranked))], float(relative.max())
+
+
+def gap_of(surrogate: Surrogate) -> tuple[float, np.ndarray | None]:
+    """Width of the gap of a jump, and the operating point (3,) that narrows it; None where it is narrow enough."""
+    if surrogate.border is None:
+        return 0.0, None
+    points = surrogate.region.samples(_CANDIDATES)
+    width = surrogate.border.width(points)
+    return width, surrogate.border.question(surrogate.points, points, WIDTH) if width > WIDTH else None
 
 
 def missed_by(surrogate: Surrogate, response: FrequencyResponse, point: np.ndarray) -> float:

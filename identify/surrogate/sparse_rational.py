@@ -36,6 +36,9 @@ RIVALS = 5
 GUARD = 0.25
 """|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
 
+LEAST_DENOMINATOR = 1e-9
+"""A pole that falls on a sweep during the fit weighs no more than this gives."""
+
 DETERMINED = 1e-7
 """Least eigenvalue of I - H_jj: below it, the other sweeps leave a direction of the coefficients open."""
 
@@ -133,6 +136,7 @@ def fit_shape(data: Data, shape: Shape, passes: int = PASSES) -> Fitted:
         step = _solve(data, phi, psi, data.weight / np.abs(denominator))
         coefficients = step.denominator
         denominator = 1.0 + coefficients @ psi.T
+        denominator = np.where(np.abs(denominator) > LEAST_DENOMINATOR, denominator, LEAST_DENOMINATOR)
     return _judged(shape, step)
 
 
@@ -180,7 +184,7 @@ def _judged(shape: Shape, step: _Step) -> Fitted:
     block = block + own[:, :, None, None] * np.eye(ELEMENTS)
     leverage = np.einsum("fjaa->fj", block).real / ELEMENTS
     kept = np.eye(ELEMENTS) - block
-    size, turn = np.linalg.eigh(kept)
+    size, turn = np.linalg.eigh(np.where(np.isfinite(kept), kept, 0.0))
     seen = np.swapaxes(turn.conj(), 2, 3) @ np.swapaxes(step.residual, 1, 2)[..., None]
     left_out = (turn @ (seen / np.maximum(size, DETERMINED)[..., None]))[..., 0]
     left_out[size[..., 0] < DETERMINED] = np.inf

@@ -12,8 +12,9 @@ from typing import Any
 
 from ..table.read import Table, read_table
 from ..table.write import write_table
+from .jumps import Border, Cut
 from .sparse_rational import Shape
-from .surrogate import Surrogate, build_surrogate
+from .surrogate import Chosen, Surrogate, build_surrogate
 
 
 def write_surrogate(path: str | Path, surrogate: Surrogate, table: Table) -> None:
@@ -24,8 +25,9 @@ def write_surrogate(path: str | Path, surrogate: Surrogate, table: Table) -> Non
     OSError
         If the machine refuses.
     """
-    shapes = [{"numerator": m.shape.numerator, "denominator": m.shape.denominator} for m in surrogate.models]
-    write_table(path, table.responses, {**table.meta, "surrogate": [_plain(shape) for shape in shapes]})
+    pieces = [[_plain(model.shape) for model in piece.models] for piece in surrogate.pieces]
+    border = None if surrogate.border is None else [cut._asdict() for cut in surrogate.border.cuts]
+    write_table(path, table.responses, {**table.meta, "surrogate": {"border": border, "pieces": pieces}})
 
 
 def read_surrogate(path: str | Path) -> Surrogate:
@@ -50,14 +52,21 @@ def surrogate_of(table: Table) -> Surrogate:
         If no surrogate can be built from it.
     """
     usable = [response for response in table.responses if response.usable.any()]
-    return build_surrogate(usable, shapes=_shapes(table.meta.get("surrogate")), bases=table.meta.get("bases"))
+    return build_surrogate(usable, chosen=_chosen(table.meta.get("surrogate")), bases=table.meta.get("bases"))
 
 
-def _plain(shape: Mapping[str, Sequence[Sequence[int]]]) -> dict[str, Any]:
-    return {key: [list(index) for index in indices] for key, indices in shape.items()}
+def _plain(shape: Shape) -> dict[str, Any]:
+    return {key: [list(index) for index in indices] for key, indices in shape._asdict().items()}
 
 
-def _shapes(stored: Any) -> list[Shape] | None:
+def _chosen(stored: Any) -> Chosen | None:
     if not stored:
         return None
-    return [Shape(tuple(map(tuple, each["numerator"])), tuple(map(tuple, each["denominator"]))) for each in stored]
+    if isinstance(stored, list):  # as it was written before borders were known
+        stored = {"border": None, "pieces": [stored]}
+    border = None if stored["border"] is None else Border(tuple(Cut(**cut) for cut in stored["border"]))
+    return Chosen(border, tuple(tuple(map(_shape, piece)) for piece in stored["pieces"]))
+
+
+def _shape(stored: Mapping[str, Sequence[Sequence[int]]]) -> Shape:
+    return Shape(tuple(map(tuple, stored["numerator"])), tuple(map(tuple, stored["denominator"])))

@@ -20,6 +20,7 @@ from ..frames import dq_to_pn
 from ..response import FrequencyResponse
 from .certainty import Certainty, certainty, relative_error
 from .index_sets import Index
+from .jumps import Border, find_border
 from .sparse_rational import ELEMENTS, Data, Fitted, Shape, choose_shapes, fit_shape, predict
 
 AXES = ("active_power_mw", "reactive_power_mvar", "terminal_voltage_pu")
@@ -101,6 +102,29 @@ class Evaluation(NamedTuple):
         return self.radius / np.linalg.norm(self.y, axis=(2, 3))
 
 
+class Piece(NamedTuple):
+    """A device that is one over its operating points.
+
+    Attributes
+    ----------
+    models : tuple of Fitted
+        The chosen model first, then its rivals.
+    sure : Certainty
+        What a leverage stands for.
+    """
+
+    models: tuple[Fitted, ...]
+    sure: Certainty
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Y (p, f, 4) at points (p, d) of the unit box, and its radius relative to the norm."""
+        best = predict(self.models[0], x)
+        score = max(self.models[0].score, 1e-300)
+        rivals = [predict(rival, x) for rival in self.models[1:]]
+        worse = [rival.score / score for rival in self.models[1:]]
+        return best.y, relative_error(best, self.sure, rivals, worse)
+
+
 @dataclass(frozen=True)
 class Surrogate:
     """A model of the admittance over operating points.
@@ -117,10 +141,10 @@ class Surrogate:
         The swept operating points, in the units of `AXES`.
     scale : Scale
         From operating points to the unit box.
-    models : tuple of Fitted
-        The chosen model first, then its rivals.
-    sure : Certainty
-        What a leverage stands for.
+    pieces : tuple of Piece
+        One device, or two where it changes at ``border``: below and above.
+    border : Border or None
+        Where the admittance jumps; nothing is said within its gap.
     terminal : Fitted
         The fundamental current at the PCC, i_d + j i_q as the first element (A, RMS, out of the device, d on v_pcc).
     meta : mapping
@@ -132,8 +156,8 @@ class Surrogate:
     region: Region
     points: np.ndarray
     scale: Scale
-    models: tuple[Fitted, ...]
-    sure: Certainty
+    pieces: tuple[Piece, ...]
+    border: Border | None
     terminal: Fitted | None
     meta: Mapping[str, Any]
 
@@ -154,12 +178,13 @@ class Surrogate:
         """
         points = self._inside(points)
         x = self.scale.unit(points)
-        best = predict(self.models[0], x)
-        score = max(self.models[0].score, 1e-300)
-        rivals = [predict(rival, x) for rival in self.models[1:]]
-        relative = relative_error(best, self.sure, rivals, [rival.score / score for rival in self.models[1:]])
-        y = best.y.reshape(*best.y.shape[:2], 2, 2)
-        return Evaluation(y, relative * np.linalg.norm(best.y, axis=2))
+        y = np.empty((len(x), len(self.nu_hz), ELEMENTS), dtype=complex)
+        relative = np.empty(y.shape[:2])
+        side = np.zeros(len(x), dtype=int) if self.border is None else self.border.side(points)
+        for number, piece in enumerate(self.pieces):
+            if np.any(own := side == number):
+                y[own], relative[own] = piece.evaluate(x[own])
+        return Evaluation(y.reshape(*y.shape[:2], 2, 2), relative * np.linalg.norm(y, axis=2))
 
     def response(self, point: Sequence[float] | np.ndarray, f_hz: np.ndarray | None = None) -> FrequencyResponse:
         """One operating point as the response of a table, its error in the covariance.
@@ -200,26 +225,47 @@ class Surrogate:
     @cached_property
     def worst_bar(self) -> tuple[float, np.ndarray]:
         """Largest relative radius over the region, and the operating point (3,) where it stands."""
-        points = self.region.samples(512)
+        points = self.samples(512)
         relative = self.evaluate(points).relative.max(axis=1)
         return float(relative.max()), points[int(np.argmax(relative))]
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """(p,) bool: operating points (p, 3) at which it has something to say."""
-        return self.region.holds(points)
+        inside = self.region.holds(points)
+        if self.border is not None:
+            inside &= self.border.side(np.nan_to_num(points, nan=1.0)) >= 0
+        return inside
+
+    def samples(self, n: int) -> np.ndarray:
+        """Points (n', 3) that fill the region evenly, but for the gap of a jump."""
+        points = self.region.samples(n)
+        return points[self.holds(points)]
+
+    @property
+    def models(self) -> tuple[Fitted, ...]:
+        """Models of the device, or of what it is below the border."""
+        return self.pieces[0].models
 
     def check_inside(self, point: Sequence[float], name: str) -> None:
         """Refuse an operating point (3,) outside the region, in the name of what asked for it."""
         at = np.asarray(point, dtype=float)
         if not self.region.holds(at[None])[0]:
             raise SurrogateError(f"{name}: {_outside(at, self.region)}")
+        self._check_gap(at[None])
 
     def _inside(self, points: np.ndarray) -> np.ndarray:
         points = np.atleast_2d(np.asarray(points, dtype=float))
         outside = np.flatnonzero(~self.region.holds(points))
         if len(outside):
             raise SurrogateError(_outside(points[outside[0]], self.region))
+        self._check_gap(points)
         return points
+
+    def _check_gap(self, points: np.ndarray) -> None:
+        if self.border is not None and np.any(self.border.side(points) < 0):
+            raise SurrogateError(
+                f"the device changes between {self.border}: nothing is interpolated across that; sweep in between"
+            )
 
     def _rows(self, f_hz: np.ndarray) -> np.ndarray:
         nu = np.abs(f_hz - self.f1_hz)
@@ -239,6 +285,13 @@ CORRELATED = 7.0
 _RADIUS = 1.392  # root of the 95 % quantile of chi-squared with eight degrees, over eight: radius per standard error
 
 
+class Chosen(NamedTuple):
+    """What is chosen once: the border of a jump, and the products of each piece, best first."""
+
+    border: Border | None
+    shapes: tuple[tuple[Shape, ...], ...] = ()
+
+
 def name_of(point: Sequence[float] | np.ndarray) -> str:
     """Name of an operating point in a predicted table."""
     p, q, v = point
@@ -247,7 +300,7 @@ def name_of(point: Sequence[float] | np.ndarray) -> str:
 
 def build_surrogate(
     responses: Sequence[FrequencyResponse],
-    shapes: Sequence[Shape] | None = None,
+    chosen: Chosen | None = None,
     region: Region | None = None,
     bases: Mapping[str, Any] | None = None,
 ) -> Surrogate:
@@ -257,8 +310,8 @@ def build_surrogate(
     ----------
     responses : sequence of FrequencyResponse
         One device, one fundamental, at `LEAST_SWEEPS` operating points or more.
-    shapes : sequence of Shape or None
-        The products, where they were chosen before; None: chosen here.
+    chosen : Chosen or None
+        Products and border, where they were chosen before; None: chosen here.
     region : Region or None
         Where it is to speak; None: the box of the swept points.
     bases : mapping or None
@@ -274,22 +327,47 @@ def build_surrogate(
     region = region or Region(points.min(axis=0), points.max(axis=0))
     scale = _scale_of(points, region)
     nu_hz, data, noise = _data_of(responses, scale.unit(points))
-    if shapes is None:
-        every = np.linspace(0, len(nu_hz) - 1, min(DECIDING, len(nu_hz))).round().astype(int)
-        deciding = Data(data.x, data.y[every], data.weight[every])
-        shapes = choose_shapes(deciding, scale.unit(region.samples(64)))
-    models = tuple(fit_shape(data, shape) for shape in shapes)
+    guarded = region.samples(64)
+    if chosen is None:
+        chosen = Chosen(find_border(points, data, scale.unit(guarded), noise))
+    sides = [np.ones(len(points), dtype=bool)]
+    if chosen.border is not None:
+        sides = [chosen.border.side(points) == number for number in (0, 1)]
+    pieces = tuple(
+        _piece(
+            data, noise, side, chosen.shapes[k] if chosen.shapes else None, _unit_of(chosen.border, k, guarded, scale)
+        )
+        for k, side in enumerate(sides)
+    )
     return Surrogate(
         f1_hz=responses[0].f1_hz,
         nu_hz=nu_hz,
         region=region,
         points=points,
         scale=scale,
-        models=models,
-        sure=certainty(models[0], data, noise),
+        pieces=pieces,
+        border=chosen.border,
         terminal=_terminal(responses, data.x),
         meta={**_common_facts(responses), "bases": dict(bases or {})},
     )
+
+
+def _unit_of(border: Border | None, number: int, points: np.ndarray, scale: Scale) -> np.ndarray:
+    """Of points (p, 3) of the region those on one side of the border, in the unit box."""
+    own = points if border is None else points[border.side(points) == number]
+    return scale.unit(own if len(own) else points)
+
+
+def _piece(
+    data: Data, noise: np.ndarray | None, side: np.ndarray, shapes: Sequence[Shape] | None, region: np.ndarray
+) -> Piece:
+    """The model of the sweeps on one side."""
+    own = Data(data.x[side], data.y[:, side], data.weight[:, side])
+    if shapes is None:
+        every = np.linspace(0, len(data.y) - 1, min(DECIDING, len(data.y))).round().astype(int)
+        shapes = choose_shapes(Data(own.x, own.y[every], own.weight[every]), region)
+    models = tuple(fit_shape(own, shape) for shape in shapes)
+    return Piece(models, certainty(models[0], own, None if noise is None else noise[:, side]))
 
 
 # From a table --------------------------------------------------------------------------------------------------------

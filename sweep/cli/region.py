@@ -75,10 +75,12 @@ def _summary(model: Surrogate) -> str:
         for axis, low, high in zip(AXES, model.region.low, model.region.high, strict=True)
     )
     shape = model.models[0].shape
+    jump = "" if model.border is None else f"\nthe device changes between {model.border}: nothing is said there"
+    at = ", ".join(f"{value:.4g}" for value in where)
     return (
         f"{len(model.points)} operating points, {len(model.nu_hz)} frequencies; {region}\n"
         f"model: {len(shape.numerator)} products over {1 + len(shape.denominator)}\n"
-        f"95 % radius of Y, relative: at most {bar:.2g}, at (P, Q, |v|) = ({', '.join(f'{v:.4g}' for v in where)})"
+        f"95 % radius of Y, relative: at most {bar:.2g}, at (P, Q, |v|) = ({at}){jump}"
     )
 
 

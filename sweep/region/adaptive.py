@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...identify.response import FrequencyResponse
-from ...identify.surrogate.design import Progress, first_points, missed_by, next_point
+from ...identify.surrogate.design import Progress, first_points, gap_of, missed_by, next_point
 from ...identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
 from ...identify.table.read import Table, read_table
 from ...identify.table.write import write_table
@@ -95,12 +95,13 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
         swept = _with_round(swept, config, points, folder, sweep)
         surrogate = build_surrogate(swept.useful, region=region)
         at, bar = next_point(surrogate, region)
-        progress = Progress(bar, at, swept.missed)
+        width, between = gap_of(surrogate)
+        progress = Progress(bar, at if between is None else between, swept.missed, width)
         certified = progress.is_certified(asked.tolerance)
-        say(_words(progress, len(swept.responses), asked.tolerance))
+        say(_words(progress, surrogate, len(swept.responses), asked.tolerance))
         if certified or len(swept.responses) >= asked.most:
             break
-        swept, points = _predicted(swept, surrogate, config, at, folder, sweep), np.zeros((0, 3))
+        swept, points = _predicted(swept, surrogate, config, progress.at, folder, sweep), np.zeros((0, 3))
     write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))
     shutil.rmtree(folder)
     return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses), asked.tolerance)
@@ -122,6 +123,8 @@ def _predicted(
     """Sweep ``at`` and hold the result against its prediction, made before."""
     found = _with_round(swept, config, at[None], folder, sweep)
     fresh = found.tables[-1].responses[0]
+    if not surrogate.holds(at[None])[0]:  # in the gap of a jump nothing was predicted
+        return found
     missed = missed_by(surrogate, fresh, at) if np.any(fresh.usable) else float("inf")
     return _Swept(found.tables, (*found.missed, missed))
 
@@ -166,6 +169,7 @@ def _metadata(
             "certified": certified,
             "tolerance": asked.tolerance,
             "largest_bar": progress.largest_bar,
+            "border_width": progress.width,
             "fresh_errors": [None if not np.isfinite(miss) else miss for miss in progress.missed],
         },
     }
@@ -183,9 +187,9 @@ def _each_status(responses: Sequence[FrequencyResponse]) -> Iterator[str]:
         yield from np.asarray(response.status).tolist()
 
 
-def _words(progress: Progress, n: int, tolerance: float) -> str:
+def _words(progress: Progress, surrogate: Surrogate, n: int, tolerance: float) -> str:
     where = ", ".join(f"{value:.4g}" for value in progress.at)
     fresh = f"; the last fresh sweep was met within {progress.missed[-1]:.2g}" if progress.missed else ""
-    return (
-        f"{n} operating points: error bar {progress.largest_bar:.2g} of {tolerance:g} at (P, Q, |v|) = ({where}){fresh}"
-    )
+    jump = "" if surrogate.border is None else f"; the device changes between {surrogate.border}"
+    bar = f"error bar {progress.largest_bar:.2g} of {tolerance:g}"
+    return f"{n} operating points: {bar} at (P, Q, |v|) = ({where}){fresh}{jump}"

@@ -67,6 +67,20 @@ def _map(figure: Figure, axes: Axes, surrogate: Surrogate, worst: Worst | None, 
         edge = axes.tricontour(places[:, 0], places[:, 1], worst_at, levels=[1.0], colors=WARNING)
         axes.clabel(edge, fmt="m = 1")
     _mark(axes, surrogate, worst, across, up)
+    _gap(axes, surrogate, across, up)
+
+
+def _gap(axes: Axes, surrogate: Surrogate, across: int, up: int) -> None:
+    """The gap of a jump, white, where the map's two axes alone decide it: nothing is said there."""
+    border, region = surrogate.border, surrogate.region
+    if border is None or np.count_nonzero(region.varies) > 2:
+        return
+    x, y = np.meshgrid(*[np.linspace(region.low[a], region.high[a], 400) for a in (across, up)])
+    points = np.tile(region.low, (x.size, 1))
+    points[:, across], points[:, up] = x.ravel(), y.ravel()
+    side = border.side(points).reshape(x.shape)
+    axes.contourf(x, y, (side < 0).astype(float), levels=[0.5, 1.5], colors=["white"])
+    axes.contour(x, y, (side == 1).astype(float), levels=[0.5], colors=WARNING, linestyles="--")
 
 
 def _worst_by_place(places: np.ndarray, values: np.ndarray, lowest: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +101,7 @@ def _values(surrogate: Surrogate, worst: Worst | None) -> tuple[np.ndarray, np.n
             np.minimum(worst.margin_m[finite], 3.0),
             "Magnitude margin m (3 and more are one colour)",
         )
-    points = surrogate.region.samples(512)
+    points = surrogate.samples(512)
     bars = np.log10(np.maximum(surrogate.evaluate(points).relative.max(axis=1), 1e-12))
     return points, bars, "log10 of the 95 % radius of Y, relative"
 

@@ -1,0 +1,288 @@
+"""Where the admittance jumps over the operating points: a limit, a dead band, a change of mode.
+
+A jump shows as sweeps that no single smooth model meets when they are left out. It is found by splitting the sweeps at
+one value of a feature with a physical meaning (a power, the voltage, a current) such that both sides are described far
+better than the whole, and such that the two models differ, where the sides meet, by more than their error bars. Between
+the last sweep of one side and the first of the other nothing is known, and nothing is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from .certainty import certainty, relative_error
+from .sparse_rational import Data, Fitted, choose_shapes, fit_shape, predict
+
+FEATURES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+    "active power": (lambda x: x[:, 0], "MW"),
+    "reactive power": (lambda x: x[:, 1], "Mvar"),
+    "terminal voltage": (lambda x: x[:, 2], "pu"),
+    "current": (lambda x: np.hypot(x[:, 0], x[:, 1]) / x[:, 2], "MVA/pu"),
+    "active current": (lambda x: x[:, 0] / x[:, 2], "MW/pu"),
+    "reactive current": (lambda x: -x[:, 1] / x[:, 2], "Mvar/pu"),
+    "apparent power": (lambda x: np.hypot(x[:, 0], x[:, 1]), "MVA"),
+}
+"""What a device may switch by, of operating points (p, 3) in MW, Mvar and pu; and its unit."""
+
+GAIN = 10.0
+"""By how much the sides must be described better than the whole."""
+
+WORTH = 2e-3
+"""Root mean square of the left-out errors of the whole from which on a jump is looked for."""
+
+APART = 2.0
+"""In error bars, how far the two models must differ where the sides meet."""
+
+DECIDING = 6
+"""Frequencies that decide."""
+
+_TRIED = 3  # partitions that are fitted as a whole, of those that a linear model likes best
+_MOVES = 3  # rounds of moving sweeps to the side that explains them
+_EXPLAINS = 0.2  # a sweep moves where the other side misses it by less than this part of its own side's error
+
+
+class Cut(NamedTuple):
+    """One feature by which the sweeps part: up to ``low`` they are of one side, from ``high`` on of the other."""
+
+    feature: str
+    low: float
+    high: float
+    rising: bool = True
+    """Whether the second side is above."""
+
+    def value(self, points: np.ndarray) -> np.ndarray:
+        """(p,) the feature at points (p, 3)."""
+        return np.asarray(FEATURES[self.feature][0](np.atleast_2d(points)))
+
+    def side(self, points: np.ndarray) -> np.ndarray:
+        """(p,) int of points (p, 3): 0 or 1, and -1 in between."""
+        value = self.value(points)
+        below, above = (0, 1) if self.rising else (1, 0)
+        return np.where(value <= self.low, below, np.where(value >= self.high, above, -1))
+
+    def beyond(self, points: np.ndarray) -> np.ndarray:
+        """(p,) how far points are from the middle of the gap, in parts of the feature's range; positive on side 1."""
+        value = self.value(points)
+        away = (value - (self.low + self.high) / 2.0) / _range(value)
+        return away if self.rising else -away
+
+    def width(self, points: np.ndarray) -> float:
+        """Of the gap, in parts of the feature's range over ``points``."""
+        return float((self.high - self.low) / _range(self.value(points)))
+
+
+class Border(NamedTuple):
+    """Where the device changes.
+
+    Attributes
+    ----------
+    cuts : tuple of Cut
+        Features that part all sweeps, the first the one that is told. Where they disagree nothing is known.
+    """
+
+    cuts: tuple[Cut, ...]
+
+    def side(self, points: np.ndarray) -> np.ndarray:
+        """(p,) int of points (p, 3): 0 or 1, and -1 in the gap where nothing is known."""
+        sides = np.array([cut.side(points) for cut in self.cuts])
+        return np.where((sides == sides[0]).all(axis=0), sides[0], -1)
+
+    def width(self, points: np.ndarray) -> float:
+        """How well it is located over ``points``, in parts of a feature's range.
+
+        The widest gap of the first feature; or, where features still disagree, how far beyond both their borders.
+        """
+        _, clear = self._disputed(points)
+        return max(self.cuts[0].width(points), clear)
+
+    def question(self, swept: np.ndarray, points: np.ndarray, width: float) -> np.ndarray:
+        """The operating point (3,) to sweep next: where features disagree most, else in the middle of the gap."""
+        at, clear = self._disputed(points)
+        return points[at] if clear > width else self._middle(swept)
+
+    def _disputed(self, points: np.ndarray) -> tuple[int, float]:
+        beyond = np.array([cut.beyond(points) for cut in self.cuts])
+        clear = np.minimum(beyond.max(axis=0), -beyond.min(axis=0))
+        return int(clear.argmax()), float(clear.max())
+
+    def _middle(self, swept: np.ndarray) -> np.ndarray:
+        """Between the two swept points that bound the first feature's gap."""
+        cut = self.cuts[0]
+        value, middle = cut.value(swept), (cut.low + cut.high) / 2.0
+        below, above = value <= cut.low, value >= cut.high
+        start = swept[np.flatnonzero(below)[value[below].argmax()]]
+        end = swept[np.flatnonzero(above)[value[above].argmin()]]
+        low, high = 0.0, 1.0
+        for _ in range(50):
+            share = (low + high) / 2.0
+            is_below = cut.value((start + share * (end - start))[None])[0] < middle
+            low, high = (share, high) if is_below else (low, share)
+        return np.asarray(start + low * (end - start))
+
+    def __str__(self) -> str:
+        cut = self.cuts[0]
+        return f"{cut.feature} {cut.low:.4g} to {cut.high:.4g} {FEATURES[cut.feature][1]}"
+
+
+def _range(value: np.ndarray) -> float:
+    return max(float(value.max() - value.min()), 1e-12)
+
+
+def least_side(n_axes: int) -> int:
+    """Fewest sweeps on a side that can be told to be another device."""
+    return 2 * n_axes + 2
+
+
+def find_border(points: np.ndarray, data: Data, region: np.ndarray, noise: np.ndarray | None) -> Border | None:
+    """The border of a jump, or None where the sweeps show none.
+
+    Parameters
+    ----------
+    points : (m, 3) float
+        The sweeps, in MW, Mvar and pu.
+    data : Data
+        The same in the unit box.
+    region : (p, d) float
+        Points of the unit box over which denominators are guarded.
+    noise : (f, m) float or None
+        Relative variance of the rows.
+    """
+    few = _thinned(data, noise)
+    if len(points) < 2 * least_side(data.x.shape[1]):
+        return None
+    whole = fit_shape(few.data, choose_shapes(few.data, region)[0]).score
+    if whole < max(WORTH, GAIN * few.noise):
+        return None
+    found = [s for part in _partitions(points, few.data) if (s := _settled(points, few, part, region)) is not None]
+    better = [s for s in found if s.score * GAIN <= whole or s.score <= 3.0 * few.noise]
+    best = min(better, key=lambda s: s.score, default=None)
+    return None if best is None or not _differ(points, few, best) else best.border
+
+
+class _Few(NamedTuple):
+    """Sweeps at the frequencies that decide, and the root mean square of the rows' noise."""
+
+    data: Data
+    variance: np.ndarray | None
+    noise: float
+
+
+class _Split(NamedTuple):
+    """Two sides, their models, the worse of their scores, and the border between them."""
+
+    side: np.ndarray
+    models: tuple[Fitted, Fitted]
+    score: float
+    border: Border
+
+
+def _thinned(data: Data, noise: np.ndarray | None) -> _Few:
+    rows = np.linspace(0, len(data.y) - 1, min(DECIDING, len(data.y))).round().astype(int)
+    variance = None if noise is None else noise[rows]
+    level = 0.0 if variance is None else float(np.sqrt(np.mean(variance)))
+    return _Few(Data(data.x, data.y[rows], data.weight[rows]), variance, level)
+
+
+def _side_of(data: Data, mask: np.ndarray) -> Data:
+    return Data(data.x[mask], data.y[:, mask], data.weight[:, mask])
+
+
+def _partitions(points: np.ndarray, data: Data) -> list[np.ndarray]:
+    """Splits (m,) bool at one value of a feature, those first that two linear models describe best."""
+    least = least_side(data.x.shape[1])
+    found = {side.tobytes(): side for side in _splits(points, least)}
+    ranked = sorted(found.values(), key=lambda side: _linear(data, side) + _linear(data, ~side))
+    return ranked[:_TRIED]
+
+
+def _splits(points: np.ndarray, least: int) -> Iterator[np.ndarray]:
+    for value_of, _ in FEATURES.values():
+        value = value_of(points)
+        for at in np.unique(value)[1:]:
+            side = value >= at - 1e-12
+            if least <= side.sum() <= len(side) - least:
+                yield side
+
+
+def _linear(data: Data, mask: np.ndarray) -> float:
+    """Squares that a linear function of the coordinates leaves, relative to ||Y||."""
+    side = _side_of(data, mask)
+    columns = np.column_stack([np.ones(len(side.x)), side.x])
+    target = (side.y * side.weight[..., None]).transpose(1, 0, 2).reshape(len(side.x), -1)
+    left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+    return float(np.sum(np.abs(left) ** 2))
+
+
+def _settled(points: np.ndarray, few: _Few, side: np.ndarray, region: np.ndarray) -> _Split | None:
+    """A split whose sweeps stand on the side that explains them, and the feature that parts them."""
+    least = least_side(few.data.x.shape[1])
+    for _ in range(_MOVES):
+        if not least <= side.sum() <= len(side) - least:
+            return None
+        models = _models(few.data, side, region)
+        moved = _moved(few.data, side, models)
+        if np.array_equal(moved, side):
+            break
+        side = moved
+    border = _border(points, side)
+    return None if border is None else _Split(side, models, max(m.score for m in models), border)
+
+
+def _models(data: Data, side: np.ndarray, region: np.ndarray) -> tuple[Fitted, Fitted]:
+    below, above = (_side_of(data, mask) for mask in (~side, side))
+    return fit_shape(below, choose_shapes(below, region)[0]), fit_shape(above, choose_shapes(above, region)[0])
+
+
+def _moved(data: Data, side: np.ndarray, models: tuple[Fitted, Fitted]) -> np.ndarray:
+    """The sides after every sweep has gone where it is explained."""
+    own = np.empty(len(side))
+    for mask, model in ((~side, models[0]), (side, models[1])):
+        own[mask] = np.sqrt(np.mean(np.sum(np.abs(model.left_out) ** 2, axis=2), axis=0))
+    other = np.where(side, _missed(data, models[0]), _missed(data, models[1]))
+    return np.where(other < _EXPLAINS * own, ~side, side)
+
+
+def _missed(data: Data, model: Fitted) -> np.ndarray:
+    """(m,) root mean square of what a model misses each sweep by, relative to ||Y||."""
+    off = (predict(model, data.x).y.transpose(1, 0, 2) - data.y) * data.weight[..., None]
+    return np.sqrt(np.mean(np.sum(np.abs(off) ** 2, axis=2), axis=0))
+
+
+def _border(points: np.ndarray, side: np.ndarray) -> Border | None:
+    """Every feature that parts the sides without an exception, that with the widest gap first; None if none does."""
+    cuts = [cut for name in FEATURES if (cut := _cut(points, side, name)) is not None]
+    cuts.sort(key=lambda cut: -cut.width(points))
+    if not cuts:
+        return None
+    return Border(tuple(cut._replace(rising=cut.rising == cuts[0].rising) for cut in cuts))
+
+
+def _cut(points: np.ndarray, side: np.ndarray, name: str) -> Cut | None:
+    value = FEATURES[name][0](points)
+    for rising, above in ((True, side), (False, ~side)):
+        if value[~above].max() < value[above].min() - 1e-9 * _range(value):
+            return Cut(name, float(value[~above].max()), float(value[above].min()), rising)
+    return None
+
+
+def _differ(points: np.ndarray, few: _Few, split: _Split) -> bool:
+    """Whether the two models differ where the sides meet by more than their error bars."""
+    below, above = (np.flatnonzero(mask) for mask in (~split.side, split.side))
+    apart = np.linalg.norm(few.data.x[below][:, None] - few.data.x[above][None], axis=2)
+    nearest = np.argsort(apart.min(axis=1))[:3]
+    at = (few.data.x[below[nearest]] + few.data.x[above[apart[nearest].argmin(axis=1)]]) / 2.0
+    told = [
+        _with_bar(model, _side_of(few.data, mask), few.variance if few.variance is None else few.variance[:, mask], at)
+        for model, mask in zip(split.models, (~split.side, split.side), strict=True)
+    ]
+    size = np.linalg.norm(told[0][0], axis=2)
+    off = np.linalg.norm(told[0][0] - told[1][0], axis=2) / size
+    return bool(np.median(off.max(axis=1) / (told[0][1] + told[1][1]).max(axis=1)) > APART)
+
+
+def _with_bar(model: Fitted, data: Data, noise: np.ndarray | None, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    found = predict(model, x)
+    return found.y, relative_error(found, certainty(model, data, noise), (), ())

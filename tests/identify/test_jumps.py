@@ -1,0 +1,133 @@
+"""Jumps of the admittance: limits and mode switches are found, smooth devices are left whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.surrogate.design import WIDTH, first_points
+from seqsweep.identify.surrogate.jumps import Border, Cut
+from seqsweep.identify.surrogate.store import surrogate_of, write_surrogate
+from seqsweep.identify.surrogate.surrogate import AXES, SurrogateError
+from seqsweep.identify.table.read import read_table
+from seqsweep.identify.table.write import write_table
+from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.region.adaptive import sweep_region
+from seqsweep.sweep.region.figure import plot_map
+
+from ..support.regions import BASES, PQV, PV, unseen
+from ..support.switching import explored, limited, smooth, swept, switched
+
+
+def drawn(kind, region, random):
+    """(rule, feature's threshold)"""
+    if kind == "limit":
+        at = random.uniform(0.55, 1.1)
+        return limited(at), at
+    if kind == "smooth":
+        return smooth(random), None
+    axis = int(random.choice(np.flatnonzero(region.varies)))
+    at = region.low[axis] + random.uniform(0.3, 0.7) * (region.high - region.low)[axis]
+    return switched(axis, at), at
+
+
+def check(kind, region, seed, most):
+    rule, at = drawn(kind, region, np.random.default_rng(seed))
+    surrogate = explored(region, rule, seed, most)
+    print(f"\n  {kind} {seed}: {at} in {surrogate.border}, {len(surrogate.points)} sweeps", end="")
+    if kind == "smooth":
+        assert surrogate.border is None
+        return
+    assert surrogate.border is not None
+    assert surrogate.border.cuts[0].low <= at <= surrogate.border.cuts[0].high
+    assert surrogate.border.width(region.samples(512)) <= WIDTH
+
+
+@pytest.mark.parametrize(("kind", "most"), [("limit", 24), ("smooth", 13)])
+def test_jumps_are_found_and_located(kind, most):
+    check(kind, PV, 11, most)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize(("kind", "most"), [("limit", 40), ("mode", 40), ("smooth", 20)])
+def test_jumps_are_found_in_fifty_random_placements(kind, most):
+    first = int(np.random.default_rng().integers(1 << 30))
+    print(f"\n  seed {first}")
+    for seed in range(first, first + 50):
+        check(kind, (PV, PQV)[seed % 2], seed, most)
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    """Thirty listed operating points of a device with a current limit, as an import would have them."""
+    path = tmp_path_factory.mktemp("jump") / "y.parquet"
+    points = np.vstack([first_points(PV, 3), unseen(PV, 24, 4)])
+    responses = [swept(point, limited(0.8)) for point in points]
+    listed = [{"op_id": r.meta["op_id"], **{a: r.meta[a] for a in AXES}} for r in responses]
+    meta = {"f1_hz": 50.0, "bases": BASES, "power_meaning": "machine", "operating_points": listed, "configuration": {}}
+    write_table(path, responses, {**meta, "plant": {"id": "limited"}})
+    return read_table(path)
+
+
+@pytest.fixture(scope="module")
+def split(table):
+    return surrogate_of(table)
+
+
+def test_a_table_is_split_and_nothing_is_said_in_the_gap(table, split, tmp_path):
+    surrogate = split
+    cut = surrogate.border.cuts[0]
+    assert cut.feature == "current"
+    assert cut.low <= 0.8 <= cut.high
+    at = unseen(PV, 200, 9)
+    at = at[surrogate.holds(at)]
+    truth = np.array([swept(point, limited(0.8)).y for point in at])
+    found = np.array([surrogate.response(point).y for point in at])
+    off = np.linalg.norm(found - truth, axis=(2, 3)) / np.linalg.norm(truth, axis=(2, 3))
+    assert off.max() < 1e-2
+    middle = surrogate.border.question(surrogate.points, PV.samples(512), 1.0)
+    with pytest.raises(SurrogateError, match=r"the device changes between current .* nothing is interpolated"):
+        surrogate.evaluate(middle)
+    write_surrogate(tmp_path / "s.parquet", surrogate, table)
+    assert surrogate_of(read_table(tmp_path / "s.parquet")).border == surrogate.border
+
+
+def test_the_gap_is_on_the_map(split, tmp_path):
+    plot_map(tmp_path / "map.svg", split, None)
+    assert (tmp_path / "map.svg").stat().st_size > 10_000
+
+
+def test_features_that_disagree_leave_a_gap():
+    border = Border((Cut("active power", 0.5, 0.6), Cut("current", 0.5, 0.6)))
+    points = np.array([[0.3, 0.0, 1.0], [0.9, 0.0, 1.0], [0.62, 0.0, 1.1], [0.55, 0.0, 1.0]])
+    assert border.side(points).tolist() == [0, 1, -1, -1]
+
+
+REGION = {
+    "active_power_mw": [0.2, 1.3],
+    "terminal_voltage_pu": [0.9, 1.1],
+    "tolerance": 0.01,
+    "most": 40,
+}
+
+
+def test_a_campaign_locates_the_border_and_certifies_both_sides(tmp_path):
+    rule = switched(0, 0.71)
+    plain = {
+        "campaign": {"name": "jump"},
+        "plant": {"id": "dpmsg-v1"},
+        "sweep": {"f_hz": [10.0, 20.0], "operating_points": REGION},
+    }
+
+    def sweep(config, path):
+        points = [[p.active_power_mw, 0.0, p.terminal_voltage_pu] for p in config.operating_point]
+        responses = [swept(np.array(point), rule) for point in points]
+        listed = [{"op_id": r.meta["op_id"], **{a: r.meta[a] for a in AXES}} for r in responses]
+        meta = {"f1_hz": 50.0, "bases": BASES, "power_meaning": "machine", "operating_points": listed}
+        write_table(path, responses, {**meta, "configuration": config.to_dict(), "plant": {"id": "dpmsg-v1"}})
+
+    said: list[str] = []
+    outcome = sweep_region(Config.from_dict(plain), tmp_path / "y.parquet", sweep, said.append)
+    assert outcome.certified
+    assert outcome.progress.width <= WIDTH
+    assert "the device changes between active power" in said[-1]
