@@ -10,12 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from .circuits.circuit import Circuit
+from .circuits.dynamics import Fault
 from .space_vectors import PHASE_PEAK
+
+if TYPE_CHECKING:
+    from .damping.grid_side import GridSideDamper
 
 InjectionKind = Literal["series_voltage", "shunt_current"]
 SourceDirection = Literal["load", "generator"]
@@ -317,6 +321,102 @@ class MeasuredPlant(Plant, Protocol):
 
     def trace(self, state: Any, conditions: Conditions, n_steps: int) -> tuple[Any, Trace]:
         """Go on from ``state`` under ``conditions``; samples at steps 0 ... n_steps - 1."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A device of a farm.
+
+    Attributes
+    ----------
+    name, node : str
+        Name, and the node of the network that its terminals are.
+    active_power_w, reactive_power_var : float
+        Out of one device (W, var).
+    factor : float
+        Equal devices that it stands for, sizes counted.
+    """
+
+    name: str
+    node: str
+    active_power_w: float
+    reactive_power_var: float = 0.0
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class FarmConditions:
+    """What surrounds the devices of a farm for a while.
+
+    Attributes
+    ----------
+    circuit : Circuit
+        The network: nodes of the devices, "source", "ground" and any others.
+    source_v : float
+        Voltage of its ideal source (V, line-to-line RMS).
+    connected : (n,) tuple of bool
+        Which devices are.
+    power_scale : (n,) tuple of float
+        Factor on the law by which each chooses its power.
+    compensation : (n,) tuple of Compensation
+        At each one's measurement port.
+    dampers_on : (d,) tuple of bool
+        Which grid-side dampers act.
+    fault : Fault or None
+        A short circuit at a node.
+    watch : tuple of (str, str)
+        What else is looked at: ("v", node) or ("i", branch).
+    """
+
+    circuit: Circuit
+    source_v: float
+    connected: tuple[bool, ...]
+    power_scale: tuple[float, ...]
+    compensation: tuple[Compensation, ...]
+    dampers_on: tuple[bool, ...] = ()
+    fault: Fault | None = None
+    watch: tuple[tuple[str, str], ...] = ()
+
+
+class FarmTrace(NamedTuple):
+    """Traces of all devices, and what else was watched (n_steps, w): phase-peak space vectors."""
+
+    devices: tuple[Trace, ...]
+    watched: np.ndarray
+
+
+class Together(Protocol):
+    """Devices that are stepped together on one network."""
+
+    members: tuple[Member, ...]
+    f1_hz: float
+    dt_s: float
+    rating: Rating
+
+    def drawn(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Complex power (n,) in VA that each draws at |v| (n,) in V, line-to-line RMS."""
+        ...
+
+    def at_rest(self, conditions: FarmConditions, voltages_v: np.ndarray) -> Any:
+        """The state where a load flow (n,) complex puts it, stable or not."""
+        ...
+
+    def joined(self, state: Any, conditions: FarmConditions, names: Sequence[str], voltages_v: np.ndarray) -> Any:
+        """The state with devices put in service under ``conditions``."""
+        ...
+
+    def trace(self, state: Any, conditions: FarmConditions, n_steps: int) -> tuple[Any, FarmTrace]:
+        """Go on under ``conditions``; samples at steps 0 ... n_steps - 1."""
+        ...
+
+
+@runtime_checkable
+class FarmPlant(MeasuredPlant, Protocol):
+    """Optional capability: many of it on one network."""
+
+    def together(self, members: Sequence[Member], dampers: Sequence[tuple[str, GridSideDamper]] = ()) -> Together:
+        """Members on a network, with grid-side dampers at nodes."""
         ...
 
 

@@ -83,6 +83,17 @@ def weights_of(dynamics: Dynamics, outputs: Outputs, step_s: float) -> Weights:
     return Weights._make([*(np.ascontiguousarray(_paired(matrix, dynamics)) for matrix in matrices), turn])
 
 
+def rates_of(dynamics: Dynamics, outputs: Outputs) -> np.ndarray:
+    """(o, p) pairs: what the outputs have of the time derivatives of the port currents, in the network's frame."""
+    direct = outputs.of_x @ dynamics.finite.k if dynamics.frame == "dq" else outputs_pairs(outputs) @ dynamics.finite.k
+    return np.ascontiguousarray(_paired(direct + 0j if dynamics.frame == "dq" else direct, dynamics))
+
+
+def outputs_pairs(outputs: Outputs) -> np.ndarray:
+    """``of_x`` of alpha and beta in pairs."""
+    return np.kron(outputs.of_x, np.eye(2))
+
+
 def exponentials(f: np.ndarray, g: np.ndarray, h: float) -> tuple[np.ndarray, ...]:
     """exp(h F), h phi_1(h F) G, h phi_2(h F) G, h phi_3(h F) G, by one exponential of a larger matrix."""
     from scipy.linalg import expm

@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from math import ceil, pi, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..circuits.circuit import Circuit
 from ..circuits.dynamics import SOUND
 from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
+from ..damping.grid_side import GridSideDamper
 from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
 from ..lanes import Chart, aligned_zeros, n_tones_of, phasors_of, set_complex
@@ -26,6 +28,7 @@ from ..protocol import (
     Compensation,
     Conditions,
     Job,
+    Member,
     NotSettled,
     OperatingPoint,
     OperatingRange,
@@ -43,6 +46,9 @@ from .flow import poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .state import TurbineState
 from .tone_table import common_period, waveform
+
+if TYPE_CHECKING:
+    from .farm import TurbineFarm
 
 _INTEGRATORS = ("rk4", "emt")
 
@@ -405,8 +411,7 @@ class ReferenceTurbine:
         state, source = job.state, job.state.source
         x = np.zeros(kernel.array_slots(n_tones))
         x[: kernel.N_STATES] = state.values
-        x[kernel.WIND], x[kernel.I_Q_REF] = state.wind_m_s, state.i_q_ref_a
-        x[kernel.I_D_LIMIT] = _left_to_d(self.parameters.i_limit_a, state.i_q_ref_a)
+        self.set_asked(x, state)
         shunt = self._shunt_voltage_ratio(self.f1_hz)
         set_complex(x, kernel.V_S_RE, state.v_source)
         set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
@@ -431,6 +436,19 @@ class ReferenceTurbine:
         if source.circuit is not None:
             network.set_sources(x, self._forced(job), n_tones, state.time_s, 0.5 * self.dt_s)
         return x
+
+    def set_asked(self, x: np.ndarray, state: TurbineState) -> None:
+        """What a turbine is asked for into its lane's column: wind, reactive current, what that leaves to i_d."""
+        from ..kernels import turbine as kernel
+
+        x[kernel.WIND], x[kernel.I_Q_REF] = state.wind_m_s, state.i_q_ref_a
+        x[kernel.I_D_LIMIT] = _left_to_d(self.parameters.i_limit_a, state.i_q_ref_a)
+
+    def together(self, members: Sequence[Member], dampers: Sequence[tuple[str, GridSideDamper]] = ()) -> TurbineFarm:
+        """Many of it on one network; see `FarmPlant`."""
+        from .farm import TurbineFarm
+
+        return TurbineFarm(self, members, dampers)
 
     def _shunt_voltage_ratio(self, f_hz: float) -> complex:
         """v_C / v_pcc of the shunt branch at a signed stationary frequency."""

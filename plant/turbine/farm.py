@@ -1,0 +1,327 @@
+"""Many reference turbines on one network, stepped together: each with its own state, power and compensation.
+
+The turbines are lanes of `kernels.turbine_farm`; collector, transformers, grid and the turbines' own shunts are one
+network that is taken exactly. Voltages and currents are power-invariant in the dq frame of the source inside, phase-peak
+space vectors in load direction outside.
+"""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..circuits.branches import GROUND, Branch
+from ..circuits.dynamics import Dynamics, Memory, Turning, as_pairs, dynamics_of, from_pairs
+from ..circuits.stepping import Outputs, Weights, rates_of, weights_of
+from ..damping.control import NOTCH_XI
+from ..damping.grid_side import GridSideDamper
+from ..errors import SeqsweepError
+from ..lanes import aligned_zeros
+from ..protocol import FarmConditions, FarmTrace, Member, OperatingPoint, Record, Source, Trace
+from ..space_vectors import PHASE_PEAK
+from .state import TurbineState
+
+if TYPE_CHECKING:
+    from .reference import ReferenceTurbine
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FarmState:
+    """Everything from which a farm can go on; opaque to everybody else.
+
+    Attributes
+    ----------
+    step : int
+        Steps since time zero.
+    time_s : float
+        Time (s).
+    turbines : tuple of TurbineState
+        Every member, also one that is not connected.
+    memory : Memory
+        Of the network, the connected turbines' shunts among it.
+    dampers : (d, 8) float
+        States of the grid-side dampers: m, x1, x2, i, real and imaginary parts in turn.
+    v_source : complex
+        Source voltage in the dq frame (V, power-invariant).
+    """
+
+    step: int
+    time_s: float
+    turbines: tuple[TurbineState, ...]
+    memory: Memory
+    dampers: np.ndarray
+    v_source: complex
+
+
+class Stepped(NamedTuple):
+    """A network with members connected, as it is stepped; ``connected`` are places among all members."""
+
+    dynamics: Dynamics
+    outputs: Outputs
+    weights: Weights
+    rates: np.ndarray
+    connected: tuple[int, ...]
+
+    def forced(self, v_source: complex) -> tuple[Turning, ...]:
+        """What the source holds by itself."""
+        return self.dynamics.by_source(v_source)
+
+
+class TurbineFarm:
+    """Members on a network.
+
+    Parameters
+    ----------
+    plant : ReferenceTurbine
+        What every member is.
+    members : sequence of Member
+        Names, nodes, powers, and how many equal turbines each stands for.
+    dampers : sequence of (str, GridSideDamper)
+        Node and converter of each grid-side damper.
+    """
+
+    def __init__(
+        self, plant: ReferenceTurbine, members: Sequence[Member], dampers: Sequence[tuple[str, GridSideDamper]] = ()
+    ):
+        if plant.integrator != "rk4":
+            raise SeqsweepError(f"a farm in time needs integrator 'rk4'; the turbine has {plant.integrator!r}")
+        self.plant, self.members, self.dampers = plant, tuple(members), tuple(dampers)
+        self.f1_hz, self.dt_s, self.rating = plant.f1_hz, plant.dt_s, plant.rating
+
+    # ------------------------------------------------------------------ steady state
+
+    def drawn(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Complex power (n,) in VA that each member draws at |v| (n,) in V, line-to-line RMS: for a load flow."""
+        return np.array([self._power(member, float(v)) for member, v in zip(self.members, voltage_v, strict=True)])
+
+    def _power(self, member: Member, voltage_v: float) -> complex:
+        low, high = self.plant.operating_range.terminal_voltage_v
+        held = min(max(voltage_v, low), high)  # beyond the range on the way to a solution
+        values = self._turbine(member, complex(held)).values
+        out = held * complex(values[15], -values[16])
+        return -member.factor * out
+
+    def _turbine(self, member: Member, voltage_v: complex) -> TurbineState:
+        """The member at rest at a terminal voltage (V, in the source's frame)."""
+        point = OperatingPoint(member.active_power_w, abs(voltage_v), member.reactive_power_var)
+        return self.plant.equilibrium(point, Source(angle_rad=cmath.phase(voltage_v)))
+
+    def at_rest(self, conditions: FarmConditions, voltages_v: np.ndarray) -> FarmState:
+        """The farm where a load flow (n,) of all members puts it; those not connected rest by themselves."""
+        turbines = tuple(self._turbine(m, complex(v)) for m, v in zip(self.members, voltages_v, strict=True))
+        stepped = self._stepped(conditions)
+        memory, seen = self._steady(stepped, turbines, conditions)
+        wanted = np.array([voltages_v[k] for k in stepped.connected])
+        if np.max(np.abs(seen - wanted)) > 1e-5 * np.max(np.abs(wanted)):
+            raise SeqsweepError("the load flow does not belong to this network: its terminal voltages are others")
+        return FarmState(0, 0.0, turbines, memory, np.zeros((len(self.dampers), 8)), complex(conditions.source_v))
+
+    def _steady(
+        self, stepped: Stepped, turbines: Sequence[TurbineState], conditions: FarmConditions
+    ) -> tuple[Memory, np.ndarray]:
+        """What the network remembers of turbines at rest, and the terminal voltages that it shows."""
+        fed = np.array([self.members[k].factor * complex(*turbines[k].values[:2]) for k in stepped.connected])
+        fed = np.concatenate([fed, np.zeros(len(self.dampers))])
+        v_source = complex(conditions.source_v)
+        (source,), (own,) = stepped.forced(v_source), stepped.dynamics.by_current(fed)
+        x = source.x + own.x
+        shown = stepped.outputs.of_x @ x + stepped.outputs.of_u @ fed
+        memory = Memory(stepped.dynamics.names, stepped.dynamics.remembered(x, v_source))
+        return memory, shown[: len(stepped.connected)]
+
+    def joined(
+        self, state: FarmState, conditions: FarmConditions, names: Sequence[str], voltages_v: np.ndarray
+    ) -> FarmState:
+        """The farm with members put in service: they, and the equipment at their terminals, begin as the load flow says.
+
+        ``voltages_v`` (n,) is that of all members under ``conditions``, in which they are connected.
+        """
+        new = [k for k, member in enumerate(self.members) if member.name in names]
+        turbines = list(state.turbines)
+        for k in new:
+            at_rest = self._turbine(self.members[k], complex(voltages_v[k]))
+            turbines[k] = replace(at_rest, step=state.step, time_s=state.time_s)
+        calm = replace(conditions, fault=None)
+        stepped = self._stepped(calm)
+        everybody = [self._turbine(m, complex(v)) for m, v in zip(self.members, voltages_v, strict=True)]
+        steady, _ = self._steady(stepped, everybody, calm)
+        nodes = {self.members[k].node for k in new}
+        values = state.memory.of(steady.names).copy()
+        for row, branch in enumerate(stepped.dynamics.branches):
+            if nodes & set(branch.ends):
+                values[row] = steady.values[row]
+        return replace(state, turbines=tuple(turbines), memory=Memory(steady.names, values))
+
+    # ------------------------------------------------------------------ driving
+
+    def _stepped(self, conditions: FarmConditions) -> Stepped:
+        connected = tuple(k for k, on in enumerate(conditions.connected) if on)
+        p = self.plant.parameters
+        shunts = tuple(_shunt(self.members[k], p.r_f_ohm, p.c_f_f) for k in connected)
+        ports = tuple(self.members[k].node for k in connected) + tuple(node for node, _ in self.dampers)
+        branches = (*conditions.circuit.branches, *shunts)
+        dynamics = dynamics_of(branches, ports, p.w1_rad_s, conditions.fault)
+        return _stepped(dynamics, len(connected), conditions.watch, self.dt_s, connected)
+
+    def trace(self, state: FarmState, conditions: FarmConditions, n_steps: int) -> tuple[FarmState, FarmTrace]:
+        """Go on under ``conditions``; samples at steps 0 ... n_steps - 1.
+
+        What is not connected stays where it is, and its samples are not a number.
+        """
+        from ..kernels import turbine_farm as kernel
+
+        stepped = self._stepped(conditions)
+        forced = stepped.forced(state.v_source)
+        x = self._lanes(state, stepped, conditions)
+        wiring = self._wiring(state, stepped, forced, conditions)
+        room = self._room(state, stepped, forced)
+        n = len(stepped.connected)
+        samples = np.empty((n_steps, n, 7))
+        watched = np.empty((n_steps, len(stepped.outputs.of_x) * 2 - 2 * (2 * n + len(self.dampers))))
+        reactive = True if any(state.turbines[k].i_q_ref_a for k in stepped.connected) else None
+        kernel.advance_farm(
+            reactive, x, self.plant.parameters, self.dt_s, samples, watched, stepped.weights, wiring, room
+        )
+        end = self._end(state, stepped, forced, x, room, n_steps)
+        return end, self._trace_of(state, stepped, samples, watched)
+
+    def _lanes(self, state: FarmState, stepped: Stepped, conditions: FarmConditions) -> np.ndarray:
+        """(groups, N_SLOTS LANES) of the connected turbines."""
+        from ..kernels import turbine as slots_of
+        from ..kernels import turbine_farm as kernel
+
+        p, n = self.plant.parameters, len(stepped.connected)
+        groups = -(-n // kernel.LANES)
+        x = aligned_zeros(groups, kernel.N_SLOTS * kernel.LANES)
+        slots = x.reshape(groups, kernel.N_SLOTS, kernel.LANES)
+        for place in range(groups * kernel.LANES):
+            k = stepped.connected[place if place < n else 0]
+            turbine, lane = state.turbines[k], slots[place // kernel.LANES, :, place % kernel.LANES]
+            lane[: len(turbine.values)] = turbine.values
+            self.plant.set_asked(lane, turbine)
+            lane[slots_of.COMP_R : slots_of.COMP_R + 2] = conditions.compensation[k]
+            lane[slots_of.NOTCH_W0], lane[slots_of.NOTCH_WIDTH] = p.w1_rad_s, 2.0 * NOTCH_XI * p.w1_rad_s
+            lane[kernel.LAW] = p.k_opt * conditions.power_scale[k]
+        return x
+
+    def _wiring(
+        self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...], conditions: FarmConditions
+    ) -> object:
+        from ..kernels import turbine_farm as kernel
+
+        n, w1 = len(stepped.connected), self.plant.parameters.w1_rad_s
+        groups = -(-n // kernel.LANES)
+        places = np.arange(groups * kernel.LANES)
+        held = np.zeros((2, 2 * len(stepped.outputs.of_x)))
+        for row, turning in enumerate(forced):
+            held[row] = as_pairs(stepped.outputs.of_x @ turning.x)
+        moving = stepped.dynamics.frame == "stationary"
+        turns = [
+            cmath.exp(1j * w1 * state.time_s) if moving else 1.0,
+            cmath.exp(-2j * w1 * state.time_s),
+            cmath.exp(-1j * w1 * self.dt_s),
+        ]
+        return kernel.Wiring(
+            np.where(places < n, places, 0),
+            np.array([self.members[k].factor for k in stepped.connected]),
+            held,
+            stepped.rates,
+            as_pairs(np.array(turns)[:, None]),
+            w1 if moving else 0.0,
+            _damper_rows(self.dampers, conditions.dampers_on),
+        )
+
+    def _room(self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...]) -> object:
+        from ..kernels import turbine_farm as kernel
+
+        held = sum((turning.at(state.time_s) for turning in forced), np.zeros(stepped.dynamics.system.at.n, complex))
+        steady = stepped.dynamics.remembered(held, state.v_source)
+        states = stepped.dynamics.entered(state.memory.of(stepped.dynamics.names) - steady, state.time_s)
+        p, o = stepped.weights.direct.shape[1], stepped.weights.direct.shape[0]
+        dampers = np.zeros((3, len(self.dampers), 8))
+        dampers[0] = state.dampers
+        states = np.ascontiguousarray(states)
+        return kernel.Room(
+            states, np.empty_like(states), np.zeros((5, p)), np.zeros(p), np.zeros(o), np.zeros(o), dampers
+        )
+
+    def _end(
+        self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...], x: np.ndarray, room: object, n_steps: int
+    ) -> FarmState:
+        from ..kernels import turbine_farm as kernel
+
+        step = state.step + n_steps
+        time_s = step * self.dt_s
+        slots = x.reshape(len(x), kernel.N_SLOTS, kernel.LANES)
+        turbines = list(state.turbines)
+        for place, k in enumerate(stepped.connected):
+            values = slots[place // kernel.LANES, :21, place % kernel.LANES].copy()
+            values.setflags(write=False)
+            turbines[k] = replace(state.turbines[k], step=step, time_s=time_s, values=values)
+        fed = np.array([self.members[k].factor * complex(*turbines[k].values[:2]) for k in stepped.connected])
+        dampers = room.damper[0].copy()  # type: ignore[attr-defined]
+        fed = np.concatenate([fed, -from_pairs(dampers.reshape(-1, 8)[:, 6:8].ravel())])
+        z = stepped.dynamics.left(room.states, fed, time_s)  # type: ignore[attr-defined]
+        z = sum((turning.at(time_s) for turning in forced), z)
+        memory = Memory(stepped.dynamics.names, stepped.dynamics.remembered(z, state.v_source))
+        return FarmState(step, time_s, tuple(turbines), memory, dampers, state.v_source)
+
+    def _trace_of(self, state: FarmState, stepped: Stepped, samples: np.ndarray, watched: np.ndarray) -> FarmTrace:
+        time_s = (state.step + np.arange(len(samples))) * self.dt_s
+        to_stationary = PHASE_PEAK * np.exp(2j * np.pi * ((self.f1_hz * time_s) % 1.0))
+        traces = [self._absent(state, len(samples))] * len(self.members)
+        for place, k in enumerate(stepped.connected):
+            of = samples[:, place]
+            v, i = (of[:, 0] + 1j * of[:, 1]) * to_stationary, -(of[:, 2] + 1j * of[:, 3]) * to_stationary
+            record = Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.members[k].name)
+            traces[k] = Trace(record, of[:, 4], of[:, 5], of[:, 6] - cmath.phase(state.v_source))
+        seen = from_pairs(watched.ravel()).reshape(len(watched), -1) * to_stationary[:, None]
+        return FarmTrace(tuple(traces), seen)
+
+    def _absent(self, state: FarmState, n: int) -> Trace:
+        nothing = np.full(n, np.nan)
+        record = Record(state.time_s, self.dt_s, nothing + 0j, nothing + 0j, self.f1_hz)
+        return Trace(record, nothing, nothing, nothing)
+
+
+def _shunt(member: Member, r_ohm: float, c_f: float) -> Branch:
+    """Rf and Cf of all turbines that a member stands for."""
+    name = f"shunt of {member.name}"
+    return Branch(name, {member.node: 1.0, GROUND: -1.0}, r_ohm / member.factor, 0.0, c_f * member.factor)
+
+
+@lru_cache(maxsize=64)
+def _stepped(
+    dynamics: Dynamics, n: int, watch: tuple[tuple[str, str], ...], step_s: float, connected: tuple[int, ...]
+) -> Stepped:
+    """Outputs and weights: voltages of the ports, currents out of the ``n`` turbines, what is watched."""
+    at, names, ports = dynamics.system.at, dynamics.names, dynamics.ports
+    rows = len(ports) + n + len(watch)
+    of_x, of_u = np.zeros((rows, at.n)), np.zeros((rows, len(ports)))
+    for k, port in enumerate(ports):
+        of_x[k, at.node[port]] = 1.0
+    for k in range(n):  # the turbines' shunts are the last branches
+        of_x[len(ports) + k, at.current[len(names) - n + k]] = -1.0
+        of_u[len(ports) + k, k] = 1.0
+    for k, (what, name) in enumerate(watch):
+        of_x[len(ports) + n + k, at.node[name] if what == "v" else at.current[names.index(name)]] = 1.0
+    outputs = Outputs(of_x, of_u)
+    return Stepped(dynamics, outputs, weights_of(dynamics, outputs, step_s), rates_of(dynamics, outputs), connected)
+
+
+def _damper_rows(dampers: Sequence[tuple[str, GridSideDamper]], on: Sequence[bool]) -> np.ndarray:
+    """The kernel's rows of the grid-side dampers."""
+    rows = [
+        [
+            *(of.nu_rad_s, of.bandwidth_rad_s, of.washout_rad_s, 1.0 / of.lag_s),
+            *(of.y_mode.real, of.y_mode.imag, of.y_mirror.real, of.y_mirror.imag),
+            *(min(of.limit_a, 1e300), float(acts)),
+        ]
+        for (_, of), acts in zip(dampers, on, strict=True)
+    ]
+    return np.array(rows).reshape(-1, 10)
