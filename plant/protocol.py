@@ -390,6 +390,7 @@ class Together(Protocol):
     """Devices that are stepped together on one network."""
 
     members: tuple[Member, ...]
+    dampers: tuple[tuple[str, GridSideDamper], ...]
     f1_hz: float
     dt_s: float
     rating: Rating

@@ -17,7 +17,7 @@ import numpy as np
 from ..circuits.circuit import Circuit
 from ..circuits.dynamics import SOUND
 from ..errors import SeqsweepError
-from ..protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Trace
+from ..protocol import Compensation, Conditions, MeasuredPlant, OperatingPoint, Plant, Source, Together, Trace
 from . import control
 from .control import DampingSettings, DampingState, Measurement
 from .estimator import SAMPLE_S, Resonance, block_means, matrix_pencil
@@ -250,8 +250,8 @@ def simulate(
         If there is no initial state.
     """
     port = _with_port(plant)
-    n_block = _steps_of(SAMPLE_S, port.dt_s)
-    n_blocks = _steps_of(duration_s, SAMPLE_S)
+    n_block = steps_of(SAMPLE_S, port.dt_s)
+    n_blocks = steps_of(duration_s, SAMPLE_S)
     settings = damping or replace(_WATCH, f1_hz=port.f1_hz)
     if settings.f1_hz != port.f1_hz:
         raise SeqsweepError(f"the damping control is set for {settings.f1_hz:g} Hz; {port.id} has {port.f1_hz:g} Hz")
@@ -265,7 +265,7 @@ def simulate(
     for block in range(n_blocks):
         time_s = block * SAMPLE_S
         if on_from_s is not None and damping is not None and time_s >= on_from_s - 1e-9:
-            memory = _switched_on(settings, memory)
+            memory = switched_on(settings, memory)
         compensation = control.output(settings, memory) if damping else None
         traces = []
         for conditions, n_steps in _stretches(scenario, block * n_block, n_block, port.dt_s):
@@ -277,7 +277,7 @@ def simulate(
         gone = verdict(conditions_at(scenario, time_s + SAMPLE_S))
         memory = control.decide(settings, memory, _measured(port, traces, time_s + SAMPLE_S, gone))
         memories.append(memory)
-    return _trajectory(port, pieces, memories, n_blocks * n_block, damping is not None)
+    return trajectory_of(port, pieces, memories, n_blocks * n_block, damping is not None)
 
 
 def conditions_at(scenario: Scenario, time_s: float) -> Conditions:
@@ -337,7 +337,7 @@ def fault_conductance(kind: FaultKind, r_ohm: float) -> tuple[float, float, floa
 def resonance_between(trajectory: Trajectory, from_s: float, to_s: float) -> Resonance:
     """Resonance of the current between two times; the amplitudes are those at ``to_s``."""
     first, last = np.searchsorted(trajectory.time_s, (from_s - 1e-9, to_s - 1e-9))
-    n_block = _steps_of(SAMPLE_S, float(trajectory.time_s[1] - trajectory.time_s[0]))
+    n_block = steps_of(SAMPLE_S, float(trajectory.time_s[1] - trajectory.time_s[0]))
     return matrix_pencil(block_means(trajectory.i[first:last], n_block), SAMPLE_S, trajectory.f1_hz)
 
 
@@ -368,7 +368,8 @@ def _with_port(plant: Plant) -> MeasuredPlant:
     return plant
 
 
-def _steps_of(duration_s: float, step_s: float) -> int:
+def steps_of(duration_s: float, step_s: float) -> int:
+    """Steps in a duration, which must be a whole number of them."""
     n = round(duration_s / step_s)
     if n < 1 or abs(n * step_s - duration_s) > 1e-6 * step_s:
         raise SeqsweepError(f"{duration_s:g} s is not a whole number of steps of {step_s:g} s")
@@ -411,7 +412,8 @@ def _measured(port: MeasuredPlant, traces: list[Trace], time_s: float, cause_gon
     return Measurement(time_s, complex(v) / port.rating.peak_voltage_v, complex(i), cause_gone)
 
 
-def _switched_on(settings: DampingSettings, memory: DampingState) -> DampingState:
+def switched_on(settings: DampingSettings, memory: DampingState) -> DampingState:
+    """The memory of a control that somebody has switched on."""
     if memory.active:
         return memory
     hz = memory.resonance.f_hz if settings.resonance_hz is None else settings.resonance_hz
@@ -432,9 +434,11 @@ def _remembered(cause_gone: Callable[[Conditions], bool] | None) -> Callable[[Co
     return answer
 
 
-def _trajectory(
-    port: MeasuredPlant, pieces: list[Trace], memories: list[DampingState], n_samples: int, damped: bool
+def trajectory_of(
+    port: MeasuredPlant | Together, pieces: list[Trace], memories: list[DampingState], n_samples: int, damped: bool
 ) -> Trajectory:
+    """Pieces of waveforms and the memories at the decisions, as one; what is missing at the end is not a number."""
+
     def joined(name: str) -> np.ndarray:
         x = np.concatenate([getattr(t, name) if hasattr(t, name) else getattr(t.record, name) for t in pieces])
         return np.concatenate([x, np.full(n_samples - len(x), np.nan, x.dtype)])
