@@ -367,6 +367,8 @@ class FarmConditions:
         A short circuit at a node.
     watch : tuple of (str, str)
         What else is looked at: ("v", node) or ("i", branch).
+    sizes : (n,) tuple of float
+        What the members' factors are multiplied with; empty: one.
     """
 
     circuit: Circuit
@@ -377,6 +379,7 @@ class FarmConditions:
     dampers_on: tuple[bool, ...] = ()
     fault: Fault | None = None
     watch: tuple[tuple[str, str], ...] = ()
+    sizes: tuple[float, ...] = ()
 
 
 class FarmTrace(NamedTuple):

@@ -1,9 +1,9 @@
 """A network's own motion: its finite states, free of the algebra between them, and what is kept when it is switched.
 
-The descriptor E x' = A x + B u has as many states as its pencil has finite eigenvalues. With the deflating subspaces of
-the pencil (QZ, ordered once either way) they are xi = Z' x with xi' = F xi + G u, and x = V xi + D u + K u'. Currents
-of inductors and voltages of capacitors are the *memory*: at a switching E x is kept, so that flux and charge go on
-where they can, and what a switch has made impossible (two inductors in one cut set, two currents) is settled at once.
+The descriptor E x' = A x + B u has as many states as its pencil has finite eigenvalues: xi' = F xi + G u, and
+x = V xi + D u + K u'. Currents of inductors and voltages of capacitors are the *memory*: at a switching E x is kept, so
+that flux and charge go on where they can, and what a switch has made impossible (two inductors in one cut set, two
+currents) is settled at once.
 
 Two frames: ``"dq"``, where a symmetric network is one complex copy of its phase and an operating point stands still;
 ``"stationary"``, where alpha and beta are coupled by an unsymmetric fault and the states are real pairs.
@@ -29,9 +29,7 @@ Conductance = tuple[float, float, float]
 SOUND: Conductance = (0.0, 0.0, 0.0)
 """No fault."""
 
-_INFINITE = 1e9  # rad/s; eigenvalues beyond are the infinite ones of a pencil
-_SIZE = 300.0  # rad/s; the speed at which E and A are weighed against each other
-_PROBES = 700.0, 2900.0  # 1/s, where the direct way is read; no eigenvalue lies to the right
+_RANK = 1e-11  # what is smaller beside the largest is a zero of the network's topology
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,43 +251,74 @@ def dynamics_of(
 
 
 def finite_part(e: np.ndarray, a: np.ndarray, b: np.ndarray) -> Finite:
-    """The states of E x' = A x + B u: the finite part of its pencil.
+    """The states of E x' = A x + B u of index two or less, E symmetric and not negative.
+
+    x = U y + N z with U on the range of E and N on its null space. What of N' A N is regular gives a part of z at once;
+    what is not leaves constraints K y + k u = 0 and multipliers z_0, which their derivative determines.
 
     Raises
     ------
     SeqsweepError
         If the pencil is singular.
     """
-    from scipy.linalg import ordqz
-
-    rows = 1.0 / np.maximum(np.abs(a).max(axis=1), np.abs(e).max(axis=1) * _SIZE)
-    e, a, b = e * rows[:, None], a * rows[:, None], b * rows[:, None]
-    columns = 1.0 / np.maximum(np.abs(a).max(axis=0), np.abs(e).max(axis=0) * _SIZE)
-    e, a = e * columns, a * columns
-    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(columns))):
+    inside, outside = _range_of(e)
+    a_11, a_12, b_1 = inside.T @ a @ inside, inside.T @ a @ outside, inside.T @ b
+    a_21, a_22, b_2 = outside.T @ a @ inside, outside.T @ a @ outside, outside.T @ b
+    regular, left_null, right_null = _inverted(a_22)
+    by_y, by_u = -regular @ a_21, -regular @ b_2  # z but for the multipliers
+    a_y, b_y = a_11 + a_12 @ by_y, b_1 + a_12 @ by_u
+    k_y, k_u, f = left_null.T @ a_21, left_null.T @ b_2, a_12 @ right_null
+    weight = inside.T @ e @ inside
+    inverse = np.linalg.inv(weight)
+    among = k_y @ inverse @ f
+    if len(among) and not np.linalg.cond(_scaled_rows(among)) < 1e10:
         raise SeqsweepError("a node of the network has no path to the source or to ground")
-    t, s, alpha, beta, q, z = ordqz(a, e, sort=_is_infinite, output="real")
-    n_infinite = int(np.sum(_is_infinite(alpha, beta)))
-    last = slice(n_infinite, None)
-    inverse = np.linalg.inv(s[last, last])
-    left = inverse @ q[:, last].T
-    *_, other = ordqz(a, e, sort=lambda x, y: ~_is_infinite(x, y), output="real")
-    first = other[:, : len(inverse)]
-    v = first @ np.linalg.inv(z[:, last].T @ first)
-    f, g = inverse @ t[last, last], left @ b
-    direct = [np.linalg.solve(x * e - a, b) - v @ np.linalg.solve(x * np.eye(len(f)) - f, g) for x in _PROBES]
-    if not np.all(np.isfinite(direct)):
-        raise SeqsweepError("a node of the network has no path to the source or to ground")
-    k = (direct[1] - direct[0]) / (_PROBES[1] - _PROBES[0])
-    d = direct[0] - _PROBES[0] * k
-    back = columns[:, None]
-    return Finite(f, g, back * v, back * d, back * _cleaned(k, d), left * rows)
+    solved = np.linalg.inv(among) if len(among) else np.zeros((0, 0))
+    held = inverse @ f @ solved  # K H = 1
+    p, w = _null_space(k_y), _null_space(f.T)
+    states = np.linalg.inv(w.T @ weight @ p)
+    y_u = -held @ k_u
+    multiplier = -solved @ k_y @ inverse
+    v = (inside + outside @ (by_y + right_null @ multiplier @ a_y)) @ p
+    d = inside @ y_u + outside @ (by_y @ y_u + by_u + right_null @ multiplier @ (a_y @ y_u + b_y))
+    k = -outside @ right_null @ solved @ k_u
+    return Finite(states @ w.T @ a_y @ p, states @ w.T @ (b_y + a_y @ y_u), v, d, k, states @ w.T @ inside.T)
 
 
-def _is_infinite(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    return np.abs(beta) * _INFINITE < np.abs(alpha)
+def _range_of(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bases of what E sees and what it does not, columns of about one size."""
+    size = np.sqrt(np.diagonal(e))
+    scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(e * scale[:, None] * scale)
+    seen = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
+    return scale[:, None] * vectors[:, seen], scale[:, None] * vectors[:, ~seen]
 
 
-def _cleaned(k: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """K without what is rounding beside D."""
-    return np.where(np.abs(k) * _PROBES[1] < 1e-9 * np.maximum(np.abs(d), np.abs(d).max(initial=1e-300)), 0.0, k)
+def _inverted(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inverse on what a square matrix sees, and its null spaces to the left and to the right."""
+    if not len(matrix):
+        return matrix, np.zeros((0, 0)), np.zeros((0, 0))
+    rows = _sizes(matrix, 1)
+    columns = _sizes(matrix / rows[:, None], 0)
+    left, values, right = np.linalg.svd(matrix / rows[:, None] / columns)
+    n = int(np.sum(values > _RANK * max(float(values[0]), 1e-300)))
+    inverse = (right[:n].T / columns[:, None]) @ ((left[:, :n] / rows[:, None]) / values[:n]).T
+    return inverse, left[:, n:] / rows[:, None], right[n:].T / columns[:, None]
+
+
+def _null_space(matrix: np.ndarray) -> np.ndarray:
+    """Basis (n, n - r) of what a matrix (r, n) of full rank takes to zero."""
+    if not len(matrix):
+        return np.eye(matrix.shape[1])
+    found: np.ndarray = np.linalg.svd(_scaled_rows(matrix))[2][len(matrix) :].T
+    return found
+
+
+def _scaled_rows(matrix: np.ndarray) -> np.ndarray:
+    scaled: np.ndarray = matrix / _sizes(matrix, 1)[:, None]
+    return scaled
+
+
+def _sizes(matrix: np.ndarray, axis: int) -> np.ndarray:
+    size = np.abs(matrix).max(axis=axis, initial=0.0)
+    return np.where(size > 0.0, size, 1.0)

@@ -1,8 +1,8 @@
 """A farm in time: every device with its own estimator and damping control, a line that is watched, what happens to it.
 
 `simulate_farm` drives devices that are stepped together (`Together`) through a `FarmScenario` and looks at all currents
-every 2 ms. Grid-side dampers start when the resonance of the line's current has lasted, by the same rules as the devices'
-control, or when they are told to.
+every 2 ms. Grid-side dampers start when the resonance of the line's current has lasted, by the same rules as the
+devices' control, or when they are told to.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ class NetworkStep:
         Terminal voltages (V) of a load flow with them: where devices that are put in service begin.
     what : str
         In words.
+    sizes : (n,) tuple of float
+        What the devices' factors are multiplied with; empty: one.
     """
 
     time_s: float
@@ -48,6 +50,7 @@ class NetworkStep:
     connected: tuple[bool, ...]
     voltages_v: tuple[complex, ...]
     what: str
+    sizes: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +189,7 @@ def simulate_farm(
             if new := _newcomers(farm, conditions, now):
                 state = farm.joined(state, now, new, np.array(_voltages_at(scenario, time_s + SAMPLE_S)))
             conditions = now
-            state, trace = farm.trace(state, _controlled(now, ports, memories, control_of), n_steps)
+            state, trace = farm.trace(state, _controlled(now, ports, memories), n_steps)
             for of, each in zip(traced, _all_traces(farm, trace), strict=True):
                 of.append(each)
         for of, new_pieces in zip(pieces, traced, strict=True):
@@ -208,12 +211,13 @@ def conditions_at(farm: Together, scenario: FarmScenario, time_s: float) -> Farm
     """What surrounds the farm from ``time_s`` on, without its control."""
     n = len(farm.members)
     circuit, connected, fault, power = scenario.circuit, scenario.connected, None, [1.0] * n
+    sizes: tuple[float, ...] = ()
     for event in sorted(scenario.events, key=lambda each: each.time_s):
         if event.time_s > time_s + 1e-9:
             continue
         match event:
             case NetworkStep():
-                circuit, connected = event.circuit, event.connected
+                circuit, connected, sizes = event.circuit, event.connected, event.sizes
             case DevicePower():
                 power[event.device] = event.active_power_w / farm.members[event.device].active_power_w
             case BusFault():
@@ -228,6 +232,7 @@ def conditions_at(farm: Together, scenario: FarmScenario, time_s: float) -> Farm
         compensation=(Compensation(),) * n,
         fault=fault,
         watch=(("v", node), ("i", branch)),
+        sizes=sizes,
     )
 
 
@@ -258,16 +263,14 @@ def _ports(farm: Together, scenario: FarmScenario, control_of: FarmControl | Non
     return [*devices, line]
 
 
-def _controlled(
-    conditions: FarmConditions, ports: Sequence[_Port], memories: Sequence[DampingState], control_of: FarmControl | None
-) -> FarmConditions:
+def _controlled(conditions: FarmConditions, ports: Sequence[_Port], memories: Sequence[DampingState]) -> FarmConditions:
     """The conditions with what the controls decided last."""
     told = tuple(
         control.output(port.settings, memory) if port.acts else Compensation()
         for port, memory in zip(ports[:-1], memories[:-1], strict=True)
     )
-    n_dampers = 0 if control_of is None else control_of.dampers
-    return replace(conditions, compensation=told, dampers_on=(ports[-1].acts and memories[-1].acts,) * n_dampers)
+    on = ports[-1].acts and memories[-1].acts
+    return replace(conditions, compensation=told, dampers_on=(on,) * len(conditions.dampers_on))
 
 
 def _all_traces(farm: Together, trace: FarmTrace) -> list[Trace]:

@@ -205,7 +205,7 @@ def _end(x):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _stage(reactive, x, part, ahead, p):
-    """Derivatives at the stage at hand: ``part`` times them into the sum, ``ahead`` times them to the next stage (s)."""
+    """Derivatives at the stage at hand: ``part`` times them into the sum, ``ahead`` of them to the next stage (s)."""
     for lane in range(LANES):
         asked, block = _asked(x, lane, reactive), _load_4(x, COMP_R, lane)
         law = _law_of(p, x[LAW * LANES + lane])
@@ -256,7 +256,7 @@ def _damper_stage(wiring, room, n, part, ahead):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _feed_in(x, wiring, room, at, frame):
-    """Port currents of the stage at hand, and their derivatives where they act at once (the dampers'), as row ``at``."""
+    """Port currents of the stage at hand as row ``at``, and the dampers' derivatives, which act at once."""
     n = wiring.factor.shape[0]
     c, s = frame
     for k in range(n):

@@ -1,8 +1,8 @@
 """Many reference turbines on one network, stepped together: each with its own state, power and compensation.
 
 The turbines are lanes of `kernels.turbine_farm`; collector, transformers, grid and the turbines' own shunts are one
-network that is taken exactly. Voltages and currents are power-invariant in the dq frame of the source inside, phase-peak
-space vectors in load direction outside.
+network that is taken exactly. Voltages and currents are power-invariant in the dq frame of the source inside,
+phase-peak space vectors in load direction outside.
 """
 
 from __future__ import annotations
@@ -59,13 +59,14 @@ class FarmState:
 
 
 class Stepped(NamedTuple):
-    """A network with members connected, as it is stepped; ``connected`` are places among all members."""
+    """A network with members connected, as it is stepped: their places among all, and their factors."""
 
     dynamics: Dynamics
     outputs: Outputs
     weights: Weights
     rates: np.ndarray
     connected: tuple[int, ...]
+    factors: tuple[float, ...]
 
     def forced(self, v_source: complex) -> tuple[Turning, ...]:
         """What the source holds by itself."""
@@ -117,27 +118,30 @@ class TurbineFarm:
         stepped = self._stepped(conditions)
         memory, seen = self._steady(stepped, turbines, conditions)
         wanted = np.array([voltages_v[k] for k in stepped.connected])
-        if np.max(np.abs(seen - wanted)) > 1e-5 * np.max(np.abs(wanted)):
+        terminals, buses = seen[: len(wanted)], seen[len(wanted) :]
+        if np.max(np.abs(terminals - wanted)) > 1e-5 * np.max(np.abs(wanted)):
             raise SeqsweepError("the load flow does not belong to this network: its terminal voltages are others")
-        return FarmState(0, 0.0, turbines, memory, np.zeros((len(self.dampers), 8)), complex(conditions.source_v))
+        dampers = np.zeros((len(self.dampers), 8))
+        dampers[:, :2] = as_pairs(buses).reshape(-1, 2)  # what is steady has been taken off for long
+        return FarmState(0, 0.0, turbines, memory, dampers, complex(conditions.source_v))
 
     def _steady(
         self, stepped: Stepped, turbines: Sequence[TurbineState], conditions: FarmConditions
     ) -> tuple[Memory, np.ndarray]:
-        """What the network remembers of turbines at rest, and the terminal voltages that it shows."""
-        fed = np.array([self.members[k].factor * complex(*turbines[k].values[:2]) for k in stepped.connected])
+        """What the network remembers of turbines at rest, and the voltages of terminals and dampers that it shows."""
+        fed = np.array(_currents(stepped, turbines))
         fed = np.concatenate([fed, np.zeros(len(self.dampers))])
         v_source = complex(conditions.source_v)
         (source,), (own,) = stepped.forced(v_source), stepped.dynamics.by_current(fed)
         x = source.x + own.x
         shown = stepped.outputs.of_x @ x + stepped.outputs.of_u @ fed
         memory = Memory(stepped.dynamics.names, stepped.dynamics.remembered(x, v_source))
-        return memory, shown[: len(stepped.connected)]
+        return memory, shown[: len(stepped.connected) + len(self.dampers)]
 
     def joined(
         self, state: FarmState, conditions: FarmConditions, names: Sequence[str], voltages_v: np.ndarray
     ) -> FarmState:
-        """The farm with members put in service: they, and the equipment at their terminals, begin as the load flow says.
+        """The farm with members put in service, which begin with what stands at their terminals as the load flow says.
 
         ``voltages_v`` (n,) is that of all members under ``conditions``, in which they are connected.
         """
@@ -162,11 +166,15 @@ class TurbineFarm:
     def _stepped(self, conditions: FarmConditions) -> Stepped:
         connected = tuple(k for k, on in enumerate(conditions.connected) if on)
         p = self.plant.parameters
-        shunts = tuple(_shunt(self.members[k], p.r_f_ohm, p.c_f_f) for k in connected)
+        sizes = conditions.sizes or (1.0,) * len(self.members)
+        factors = tuple(float(sizes[k] * self.members[k].factor) for k in connected)
+        shunts = tuple(
+            _shunt(self.members[k], factor, p.r_f_ohm, p.c_f_f) for k, factor in zip(connected, factors, strict=True)
+        )
         ports = tuple(self.members[k].node for k in connected) + tuple(node for node, _ in self.dampers)
         branches = (*conditions.circuit.branches, *shunts)
         dynamics = dynamics_of(branches, ports, p.w1_rad_s, conditions.fault)
-        return _stepped(dynamics, len(connected), conditions.watch, self.dt_s, connected)
+        return _stepped(dynamics, conditions.watch, self.dt_s, connected, factors)
 
     def trace(self, state: FarmState, conditions: FarmConditions, n_steps: int) -> tuple[FarmState, FarmTrace]:
         """Go on under ``conditions``; samples at steps 0 ... n_steps - 1.
@@ -228,7 +236,7 @@ class TurbineFarm:
         ]
         return kernel.Wiring(
             np.where(places < n, places, 0),
-            np.array([self.members[k].factor for k in stepped.connected]),
+            np.array(stepped.factors),
             held,
             stepped.rates,
             as_pairs(np.array(turns)[:, None]),
@@ -263,7 +271,7 @@ class TurbineFarm:
             values = slots[place // kernel.LANES, :21, place % kernel.LANES].copy()
             values.setflags(write=False)
             turbines[k] = replace(state.turbines[k], step=step, time_s=time_s, values=values)
-        fed = np.array([self.members[k].factor * complex(*turbines[k].values[:2]) for k in stepped.connected])
+        fed = np.array(_currents(stepped, turbines))
         dampers = room.damper[0].copy()  # type: ignore[attr-defined]
         fed = np.concatenate([fed, -from_pairs(dampers.reshape(-1, 8)[:, 6:8].ravel())])
         z = stepped.dynamics.left(room.states, fed, time_s)  # type: ignore[attr-defined]
@@ -289,18 +297,28 @@ class TurbineFarm:
         return Trace(record, nothing, nothing, nothing)
 
 
-def _shunt(member: Member, r_ohm: float, c_f: float) -> Branch:
+def _currents(stepped: Stepped, turbines: Sequence[TurbineState]) -> list[complex]:
+    """What the connected members feed in (A)."""
+    pairs = zip(stepped.connected, stepped.factors, strict=True)
+    return [factor * complex(*turbines[k].values[:2]) for k, factor in pairs]
+
+
+def _shunt(member: Member, factor: float, r_ohm: float, c_f: float) -> Branch:
     """Rf and Cf of all turbines that a member stands for."""
     name = f"shunt of {member.name}"
-    return Branch(name, {member.node: 1.0, GROUND: -1.0}, r_ohm / member.factor, 0.0, c_f * member.factor)
+    return Branch(name, {member.node: 1.0, GROUND: -1.0}, r_ohm / factor, 0.0, c_f * factor)
 
 
 @lru_cache(maxsize=64)
 def _stepped(
-    dynamics: Dynamics, n: int, watch: tuple[tuple[str, str], ...], step_s: float, connected: tuple[int, ...]
+    dynamics: Dynamics,
+    watch: tuple[tuple[str, str], ...],
+    step_s: float,
+    connected: tuple[int, ...],
+    factors: tuple[float, ...],
 ) -> Stepped:
-    """Outputs and weights: voltages of the ports, currents out of the ``n`` turbines, what is watched."""
-    at, names, ports = dynamics.system.at, dynamics.names, dynamics.ports
+    """Outputs and weights: voltages of the ports, currents out of the turbines, what is watched."""
+    at, names, ports, n = dynamics.system.at, dynamics.names, dynamics.ports, len(connected)
     rows = len(ports) + n + len(watch)
     of_x, of_u = np.zeros((rows, at.n)), np.zeros((rows, len(ports)))
     for k, port in enumerate(ports):
@@ -311,7 +329,9 @@ def _stepped(
     for k, (what, name) in enumerate(watch):
         of_x[len(ports) + n + k, at.node[name] if what == "v" else at.current[names.index(name)]] = 1.0
     outputs = Outputs(of_x, of_u)
-    return Stepped(dynamics, outputs, weights_of(dynamics, outputs, step_s), rates_of(dynamics, outputs), connected)
+    return Stepped(
+        dynamics, outputs, weights_of(dynamics, outputs, step_s), rates_of(dynamics, outputs), connected, factors
+    )
 
 
 def _damper_rows(dampers: Sequence[tuple[str, GridSideDamper]], on: Sequence[bool]) -> np.ndarray:

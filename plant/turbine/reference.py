@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..circuits.circuit import Circuit
 from ..circuits.dynamics import SOUND
 from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from ..damping.grid_side import GridSideDamper
@@ -42,6 +41,7 @@ from ..protocol import (
 from ..space_vectors import PHASE_PEAK
 from . import behind_network as network
 from . import equilibrium as stationary
+from .asked import kind_of, left_to_d, order_of, power_of
 from .flow import poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .state import TurbineState
@@ -131,7 +131,7 @@ class ReferenceTurbine:
     def equilibrium(self, operating_point: OperatingPoint, source: Source) -> TurbineState:
         """The equilibrium at ``operating_point``, stable or not."""
         p = self.parameters
-        power_va, terminal_voltage_v = _power(operating_point), self._terminal_voltage(operating_point, source)
+        power_va, terminal_voltage_v = power_of(operating_point), self._terminal_voltage(operating_point, source)
         self._check_range(power_va, terminal_voltage_v)
         machine = stationary.machine_equilibrium(p, power_va.real)
         grid_side = stationary.grid_side_equilibrium(p, power_va, terminal_voltage_v)
@@ -195,7 +195,7 @@ class ReferenceTurbine:
         grid = network.thevenin_of(source, self.parameters.w1_rad_s)
         try:
             return stationary.terminal_voltage_for_source(
-                self.parameters, _power(operating_point), abs(grid.gain) * source.voltage_v, grid.r_ohm, grid.l_h
+                self.parameters, power_of(operating_point), abs(grid.gain) * source.voltage_v, grid.r_ohm, grid.l_h
             )
         except SeqsweepError as error:
             raise NotSettled(str(error)) from None
@@ -330,7 +330,7 @@ class ReferenceTurbine:
         lanes = np.repeat(lane, kernel.LANES)
         cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
         samples = np.empty((n_steps, 7))
-        kernel.advance_tracing(_kind(Job(start, None))[1] or None, lanes, p, self.dt_s / cut, cut, samples)
+        kernel.advance_tracing(kind_of(Job(start, None))[1] or None, lanes, p, self.dt_s / cut, cut, samples)
         (end,) = self._ends(lanes, [Job(start, None)], n_steps)
         return end, samples
 
@@ -341,7 +341,7 @@ class ReferenceTurbine:
         job = Job(start, None)
         lane = self._lane(job, Window(0.0, 1), 1, 1)
         self._set_port(lane, start, replace(conditions, fault_s=SOUND))
-        lanes, samples, after = network.traced(lane, job, _kind(job)[1], p, self.dt_s, conditions.fault_s, n_steps)
+        lanes, samples, after = network.traced(lane, job, kind_of(job)[1], p, self.dt_s, conditions.fault_s, n_steps)
         (end,) = self._ends(lanes, [job], n_steps)
         return after(end), samples
 
@@ -378,8 +378,8 @@ class ReferenceTurbine:
         """
         from ..kernels.turbine import LANES
 
-        for kind in sorted({_kind(job) for job in jobs}, key=_order):
-            of_kind = [m for m, job in enumerate(jobs) if _kind(job) == kind]
+        for kind in sorted({kind_of(job) for job in jobs}, key=order_of):
+            of_kind = [m for m, job in enumerate(jobs) if kind_of(job) == kind]
             for first in range(0, len(of_kind), LANES):
                 members = of_kind[first : first + LANES]
                 together = [jobs[m] for m in members]
@@ -390,7 +390,7 @@ class ReferenceTurbine:
 
     def _kernel_for(self, jobs: list[Job], table: np.ndarray) -> Callable[..., None]:
         """What steps jobs of one kind."""
-        source, reactive, circuit = _kind(jobs[0])
+        source, reactive, circuit = kind_of(jobs[0])
         if circuit is not None:
             return network.NetworkKernel(jobs, reactive, table, self.parameters, self.dt_s)
         return self._kernel(source, reactive, table)
@@ -442,7 +442,7 @@ class ReferenceTurbine:
         from ..kernels import turbine as kernel
 
         x[kernel.WIND], x[kernel.I_Q_REF] = state.wind_m_s, state.i_q_ref_a
-        x[kernel.I_D_LIMIT] = _left_to_d(self.parameters.i_limit_a, state.i_q_ref_a)
+        x[kernel.I_D_LIMIT] = left_to_d(self.parameters.i_limit_a, state.i_q_ref_a)
 
     def together(self, members: Sequence[Member], dampers: Sequence[tuple[str, GridSideDamper]] = ()) -> TurbineFarm:
         """Many of it on one network; see `FarmPlant`."""
@@ -471,27 +471,6 @@ class ReferenceTurbine:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
-
-
-def _kind(job: Job) -> tuple[str, bool, Circuit | None]:
-    """Kind of the source, whether reactive power is asked for, and the network."""
-    return job.state.source.kind, job.state.i_q_ref_a != 0.0, job.state.source.circuit
-
-
-def _order(kind: tuple[str, bool, Circuit | None]) -> tuple[str, bool, str]:
-    """Ideal sources first, then lines, then networks."""
-    source, reactive, circuit = kind
-    return {"ideal": "0", "thevenin": "1"}.get(source, "2"), reactive, "" if circuit is None else repr(circuit)
-
-
-def _power(operating_point: OperatingPoint) -> complex:
-    """Out of the converter (W + j var)."""
-    return complex(operating_point.active_power_w, operating_point.reactive_power_var)
-
-
-def _left_to_d(i_limit_a: float, i_q_ref_a: float) -> float:
-    """What the limit of the current leaves to |i_d| (A); all of it, to the last bit, where i_q* is zero."""
-    return i_limit_a * sqrt(1.0 - (i_q_ref_a / i_limit_a) ** 2)
 
 
 def _checked_integrator(integrator: str, block: Compensation) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -130,7 +130,7 @@ def _scales(text: str) -> tuple[float, ...]:
 
 
 def verify(
-    tuning: Annotated[Path, typer.Argument(metavar="TUNING.json", help="What tune wrote.")],
+    tuning: Annotated[Path, typer.Argument(metavar="TUNING.json", help="What tune wrote, or a farm file FARM.toml.")],
     table: Annotated[
         Path | None, typer.Option(metavar="TABLE.parquet", help="Damping stops where this table says stable.")
     ] = None,
@@ -143,12 +143,35 @@ def verify(
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Power, r(t), ...: .png, .svg or .pdf.")] = None,
     force: Force = False,
 ) -> None:
-    """The same device in time, with and without damping control."""
+    """The same device in time, with and without damping control; of a farm file, all its devices together."""
     from ..verify.job import VerifyJob, verified
     from ..verify.report import format_report, to_json
 
     check_outputs(output, force, plot, ".json")
+    if tuning.suffix.lower() == ".toml":
+        return _verify_farm(tuning, [table, op, scale], scenario, output, plot)
     found = verified(VerifyJob(tuning, table, op, scale, scenario, output, plot))
+    result(lambda: format_report(found, columns()), lambda: to_json(found))
+
+
+def _verify_farm(
+    document: Path, of_a_tuning: Sequence[Any], scenario: Path | None, output: Path | None, plot: Path | None
+) -> None:
+    """A farm file in time."""
+    from ..verify.farm_figure import plot_farm
+    from ..verify.farm_report import format_report, to_json, write_json
+    from ..verify.farm_runs import verify_farm
+    from ..verify.farm_story import DEFAULT, read_farm_story
+    from .farm import library_beside, read_document
+
+    if any(option is not None for option in of_a_tuning):
+        raise WrongInput("--table, --op and --scale go with a tuning; a farm file names its tables itself")
+    story = DEFAULT if scenario is None else read_farm_story(scenario)
+    found = verify_farm(read_document(document), library_beside(document), story)
+    if output is not None:
+        write_json(found, output)
+    if plot is not None:
+        plot_farm(found, plot)
     result(lambda: format_report(found, columns()), lambda: to_json(found))
 
 

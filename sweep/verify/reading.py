@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ...plant.damping.estimator import SAMPLE_S, WINDOW_S
-from ...plant.damping.events import Event, Trajectory
+from ...plant.damping.events import Trajectory
 
 _FAINT = 2e-3
 _LARGE = 0.5
 """Rates are read where r lies between these: below the estimate is noise, above nothing is linear."""
+
+
+class Happening(Protocol):
+    """An event: what counts is when."""
+
+    @property
+    def time_s(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +76,7 @@ class RunReport:
     windows: tuple[WindowReport, ...]
 
 
-def report(trajectory: Trajectory, events: tuple[Event, ...], threshold: float) -> RunReport:
+def report(trajectory: Trajectory, events: Sequence[Happening], threshold: float) -> RunReport:
     """Read one trajectory; nothing counts after synchronism is lost."""
     t, ratio = trajectory.decision_s, trajectory.ratio
     seen = t <= _end_s(trajectory)
@@ -78,7 +86,7 @@ def report(trajectory: Trajectory, events: tuple[Event, ...], threshold: float) 
     return RunReport(
         outcome=_outcome(trajectory, above_s, calm_s),
         largest_ratio=float(np.nanmax(ratio[seen], initial=0.0)),
-        last_ratio=float(ratio[seen & np.isfinite(ratio)][-1]),
+        last_ratio=float(ratio[seen & np.isfinite(ratio)][-1]) if np.any(seen & np.isfinite(ratio)) else float("nan"),
         above_s=above_s,
         calm_s=calm_s,
         rate_per_s=_rate_per_s(trajectory, events),
@@ -109,7 +117,7 @@ def _outcome(trajectory: Trajectory, above_s: float | None, calm_s: float | None
     return "no resonance above the threshold" if above_s is None else f"calm from {calm_s:.2f} s on"
 
 
-def _rate_per_s(trajectory: Trajectory, events: tuple[Event, ...]) -> float | None:
+def _rate_per_s(trajectory: Trajectory, events: Sequence[Happening]) -> float | None:
     """Slope of ln A_r over the time in which nothing changes any more and r is neither faint nor large."""
     changes = [event.time_s + getattr(event, "duration_s", 0.0) for event in events]
     settled_s = max([0.0, *changes, *trajectory.started_s, *trajectory.stopped_s]) + WINDOW_S
@@ -120,7 +128,7 @@ def _rate_per_s(trajectory: Trajectory, events: tuple[Event, ...]) -> float | No
     return float(np.polyfit(t[inside], np.log(size[inside]), 1)[0])
 
 
-def _windows(trajectory: Trajectory, events: tuple[Event, ...]) -> Iterable[WindowReport]:
+def _windows(trajectory: Trajectory, events: Sequence[Happening]) -> Iterable[WindowReport]:
     """Windows as long as the estimator's, from the first event on."""
     first = min((event.time_s for event in events), default=0.0)
     n = round(WINDOW_S / SAMPLE_S)

@@ -28,7 +28,7 @@ def to_json(result: Verification) -> dict[str, Any]:
 
     tuned, scenario, settings = result.tuned, result.scenario, result.settings
     names = ("without", "with")
-    content: dict[str, Any] = _plain(
+    content: dict[str, Any] = plain(
         {
             "format": FORMAT,
             "version": VERSION,
@@ -70,11 +70,12 @@ def write_json(result: Verification, path: str | Path) -> None:
     write_whole(path, to_json(result))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Plain JSON values; what is not finite is null."""
     if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
+        return {key: plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [plain(each) for each in value]
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
@@ -82,9 +83,9 @@ def format_report(result: Verification, width: int = 80) -> str:
     """Both runs as plain text: what was asked, how each went, and the windows side by side."""
     without, damped = result.reports
     lines = [*wrapped(_headline(result), width), *wrapped(_damping_line(result), width), ""]
-    lines += _columns([("", "without", "with"), *_facts(without, damped, result.settings.threshold)])
+    lines += columns_of([("", "without", "with"), *_facts(without, damped, result.settings.threshold)])
     lines += ["", *wrapped("windows of 150 ms: frequencies, r of the stronger one, its growth, power", width)]
-    lines += _columns([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
+    lines += columns_of([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
     lines += [line for remark in result.remarks for line in ("", *wrapped(f"note: {remark}", width))]
     return "\n".join(lines)
 
@@ -172,7 +173,8 @@ def _times(times_s: tuple[float, ...]) -> str:
     return ", ".join(f"{time_s:.3f} s" for time_s in times_s) or "-"
 
 
-def _columns(rows: list[tuple[str, ...]], gap: str = "  ") -> list[str]:
+def columns_of(rows: list[tuple[str, ...]], gap: str = "  ") -> list[str]:
+    """Rows of cells as lines, the first column to the left."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     forms = ["<", *[">"] * (len(widths) - 1)]
     return [

@@ -113,8 +113,8 @@ _KINDS: dict[str, tuple[str, ...]] = {
 
 def story_of(data: Mapping[str, Any]) -> Story:
     """The story that the content of a scenario file tells; `ScenarioError` where it makes no sense."""
-    _refuse_unknown(data, (*_NUMBERS, "event"), "the scenario")
-    values = {key: _number(data, key, "the scenario") for key in _NUMBERS if key in data}
+    refuse_unknown(data, (*_NUMBERS, "event"), "the scenario")
+    values = {key: number_of(data, key, "the scenario") for key in _NUMBERS if key in data}
     if "active_power_mw" in values:
         values["active_power_w"] = values.pop("active_power_mw") * 1e6
     entries = data.get("event", [])
@@ -130,27 +130,27 @@ def _event(entry: Mapping[str, Any], where: str) -> Event | Switch | ElementStep
         return _element_step(entry, where)
     if kind not in _KINDS:
         raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(_KINDS)}, element_step")
-    _refuse_unknown(entry, ("kind", "time_s", *_KINDS[kind]), f"{where} ({kind})")
-    time_s = _number(entry, "time_s", where)
+    refuse_unknown(entry, ("kind", "time_s", *_KINDS[kind]), f"{where} ({kind})")
+    time_s = number_of(entry, "time_s", where)
     if kind == "grid_step":
-        return GridStep(time_s, _number(entry, "scale", where))
+        return GridStep(time_s, number_of(entry, "scale", where))
     if kind == "turbine_step":
-        return TurbineStep(time_s, _number(entry, "count", where))
+        return TurbineStep(time_s, number_of(entry, "count", where))
     if kind == "wind_step":
-        return WindStep(time_s, _number(entry, "wind_m_s", where))
+        return WindStep(time_s, number_of(entry, "wind_m_s", where))
     if kind == "power_step":
-        return PowerStep(time_s, 1e6 * _number(entry, "active_power_mw", where))
+        return PowerStep(time_s, 1e6 * number_of(entry, "active_power_mw", where))
     if kind == "switch":
         return Switch(time_s, _element(entry, where), _in_service(entry, where))
-    r_ohm = _number(entry, "r_ohm", where) if "r_ohm" in entry else 0.01
-    return Fault(time_s, _number(entry, "duration_s", where), entry.get("fault", "a-b-c"), r_ohm)
+    r_ohm = number_of(entry, "r_ohm", where) if "r_ohm" in entry else 0.01
+    return Fault(time_s, number_of(entry, "duration_s", where), entry.get("fault", "a-b-c"), r_ohm)
 
 
 def _element_step(entry: Mapping[str, Any], where: str) -> ElementStep:
-    values = tuple((key, _number(entry, key, where)) for key in entry if key not in ("kind", "time_s", "element"))
+    values = tuple((key, number_of(entry, key, where)) for key in entry if key not in ("kind", "time_s", "element"))
     if not values:
         raise ScenarioError(f"{where}: no number of the element; needed is one or more, as compensation_percent = 40")
-    return ElementStep(_number(entry, "time_s", where), _element(entry, where), values)
+    return ElementStep(number_of(entry, "time_s", where), _element(entry, where), values)
 
 
 def _element(entry: Mapping[str, Any], where: str) -> str:
@@ -165,7 +165,8 @@ def _in_service(entry: Mapping[str, Any], where: str) -> bool:
     return bool(entry["in_service"])
 
 
-def _number(data: Mapping[str, Any], key: str, where: str) -> float:
+def number_of(data: Mapping[str, Any], key: str, where: str) -> float:
+    """The number under a key; `ScenarioError` where there is none."""
     if key not in data:
         raise ScenarioError(f"{where}: {key} is missing")
     value = data[key]
@@ -174,7 +175,8 @@ def _number(data: Mapping[str, Any], key: str, where: str) -> float:
     return float(value)
 
 
-def _refuse_unknown(data: Iterable[str], known: tuple[str, ...], where: str) -> None:
+def refuse_unknown(data: Iterable[str], known: tuple[str, ...], where: str) -> None:
+    """Refuse a key that is not known, with the one that may be meant."""
     for key in data:
         if key not in known:
             hint = nearest(key, known) or f"; known are {', '.join(known)}"
