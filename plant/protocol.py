@@ -10,16 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from .circuits.circuit import Circuit
 from .circuits.dynamics import Fault
 from .space_vectors import PHASE_PEAK
-
-if TYPE_CHECKING:
-    from .damping.grid_side import GridSideDamper
 
 InjectionKind = Literal["series_voltage", "shunt_current"]
 SourceDirection = Literal["load", "generator"]
@@ -393,7 +390,7 @@ class Together(Protocol):
     """Devices that are stepped together on one network."""
 
     members: tuple[Member, ...]
-    dampers: tuple[tuple[str, GridSideDamper], ...]
+    dampers: tuple[tuple[str, Any], ...]
     f1_hz: float
     dt_s: float
     rating: Rating
@@ -419,8 +416,8 @@ class Together(Protocol):
 class FarmPlant(MeasuredPlant, Protocol):
     """Optional capability: many of it on one network."""
 
-    def together(self, members: Sequence[Member], dampers: Sequence[tuple[str, GridSideDamper]] = ()) -> Together:
-        """Members on a network, with grid-side dampers at nodes."""
+    def together(self, members: Sequence[Member], dampers: Sequence[tuple[str, Any]] = ()) -> Together:
+        """Members on a network, with grid-side dampers (`damping.grid_side.GridSideDamper`) at nodes."""
         ...
 
 
