@@ -31,6 +31,8 @@ PLAIN = Look()
 
 MAX_OVERLAID = 6
 HEIGHT_IN = 7.0
+_SHORT = 28
+"""Letters of a name up to which three stand side by side in the legend."""
 
 _TITLES = ("$Y_{pp}$", "$Y_{pn}$", "$Y_{np}$", "$Y_{nn}$")
 _TITLES_DQ = ("$Y_{dd}$", "$Y_{dq}$", "$Y_{qd}$", "$Y_{qq}$")
@@ -416,4 +418,7 @@ def _legend(figure: Figure, curves: Sequence[_Curve]) -> None:
     if any((~finite).any() for finite in seen):
         handles.append(Line2D([], [], label="not ok, no value", **_NOTHING))
     if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8, handlelength=3.2)
+        longest = max(len(str(handle.get_label())) for handle in handles)
+        columns = 3 if longest <= _SHORT else 2 if longest <= 2 * _SHORT else 1
+        where: dict[str, Any] = {"loc": "outside lower center", "ncols": columns}
+        figure.legend(handles=handles, frameon=False, fontsize=8, handlelength=3.2, **where)

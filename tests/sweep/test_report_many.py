@@ -89,7 +89,10 @@ def test_many_operating_points_are_folded(text):
 
 def test_farm_and_surrogate_have_their_sections(tmp_path, folder):
     farm = {
-        "format": "seqsweep-farm", "verdict": "unstable", "reason": "a mode grows",
+        "format": "seqsweep-farm", "warnings": ["wt2: its voltage is off"],
+        "devices": [{"name": "wt1", "bus": "t1", "active_power_out_w": 8.5e5, "reactive_power_out_var": 8e4,
+                     "terminal_voltage_v": 725.9}],
+        "verdict": "unstable", "reason": "a mode grows",
         "modes": [{"seen_at_hz": [22.0, 78.0], "sigma_per_s": 3.0, "sigma_half_95_per_s": 0.1, "damping": -0.02,
                    "devices": {"wt1": {"share": 0.7}, "wt2": {"share": 0.3}}}],
     }  # fmt: skip
@@ -97,6 +100,8 @@ def test_farm_and_surrogate_have_their_sections(tmp_path, folder):
     found = page(read_inputs([folder / "y.parquet", tmp_path / "f.json"]))
     assert "The farm is unstable: a mode grows." in found
     assert "wt1 70 %, wt2 30 %" in found
+    assert "<td>0.85</td><td>0.08</td><td>725.9</td>" in found
+    assert "wt2: its voltage is off" in found
     assert 'class="answer unstable"' in found
 
 

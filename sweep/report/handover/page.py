@@ -104,6 +104,7 @@ def _content(inputs: Inputs, profiles: Sequence[str]) -> dict[str, Any]:
         "script": script,
         "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "version": version("seqsweep"),
+        "most": MOST,
     }
 
 
