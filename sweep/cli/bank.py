@@ -59,7 +59,7 @@ def judge(
     check_outputs(output, force, plot, ".parquet")
     content = as_told(read_table(table), stable_on, exclude or ())
     responses: Sequence[FrequencyResponse] | Following = chosen(content.responses, op)
-    names = [r.meta.get("op_id") for r in chosen(content.responses, op)]
+    names: Sequence[object] = [r.meta.get("op_id") for r in responses]
     if is_surrogate(content):
         model = model_of(content)
         responses = Following(model, tuple(powers_of(power, model)), source_voltage)
