@@ -49,6 +49,17 @@ def test_every_command_and_option_on_a_page_exists(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_option_that_is_named_alone_is_one_of_some_command(page):
+    known = set().union(*COMMANDS.values(), {"--help", "--version", "--debug"})
+    named = re.findall(r"`(--[a-z][a-z0-9-]*)[ `]", page.read_text("utf-8"))
+    assert [option for option in named if option not in known and (page.stem, option) not in OF_SCRIPTS] == []
+
+
+OF_SCRIPTS = {("report", "--points")}
+"""Options of scripts, by page."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_file_and_link_on_a_page_leads_somewhere(page):
     text = page.read_text("utf-8")
     text = re.sub(r"<!-- picture: .*? -->", "", text)  # brought by the site's build
