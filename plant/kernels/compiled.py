@@ -61,7 +61,7 @@ class intrinsic:
     """`numba.extending.intrinsic`, but that numba is imported only where there is something to compile."""
 
     def __init__(self, function: Callable[..., Any]):
-        functools.update_wrapper(self, function)
+        self.__doc__ = function.__doc__
         self._function = function
 
     @functools.cached_property
