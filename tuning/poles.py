@@ -129,7 +129,7 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
     carried = ~beyond & _carried(model, upper, covariance)
     swept = np.array([is_swept(model, complex(pole)) for pole in upper], dtype=bool)
-    critical, leading = _resonance(model, upper, carried & swept), _resonance(model, upper, carried)
+    critical, leading = (_resonance(model, upper, ~beyond, named) for named in (carried & swept, carried))
     return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, leading, hole)
 
 
@@ -148,15 +148,17 @@ def _carried(model: RationalModel, poles: np.ndarray, covariance: np.ndarray) ->
     return (apart.min(axis=1, initial=np.inf) > _CARRIED) & known & ~np.any(beside, axis=1)
 
 
-def _resonance(model: RationalModel, poles: np.ndarray, named: np.ndarray) -> int | None:
+def _resonance(model: RationalModel, poles: np.ndarray, believed: np.ndarray, named: np.ndarray) -> int | None:
     """Index of the resonance: the least damped mode, or if all are well damped the one that lasts longest.
 
-    An unstable one comes first. Slow modes are listed by themselves; one that is unstable with nothing faster counts.
+    An unstable one comes first, and where none of those can be named, nothing is. Slow modes are listed by themselves;
+    one that is unstable with nothing faster counts.
     """
     f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
-    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & named
+    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & believed
     if np.any((poles.real > 0.0) & within):
         within &= poles.real > 0.0
+    within &= named
     fast = within & (f_hz > RESONANCE_FROM_HZ)
     among = np.flatnonzero(fast if np.any(fast) else within & (poles.real > 0.0))
     if len(among) == 0:
