@@ -31,27 +31,31 @@ def answers(
     one: Callable[[int], Any], indices: range, file: Path, jobs: int, goes_on: Callable[[], bool]
 ) -> Iterator[Any]:
     """Answers in order: those in ``file`` first, then new ones, which are added to it, as long as it ``goes_on``."""
-    known = list(_read(file))[: len(indices)]
-    yield from known
-    with file.open("ab") as out:
-        for answer in _each(one, indices[len(known) :], jobs, goes_on):
+    known, whole = _read(file)
+    yield from known[: len(indices)]
+    for number, answer in enumerate(_each(one, indices[len(known) :], jobs, goes_on)):
+        with file.open("r+b" if file.exists() else "wb") as out:
+            out.seek(0, 2)
+            if number == 0:  # what an interruption cut off is taken away
+                out.truncate(whole)
+                out.seek(whole)
             pickle.dump(answer, out)
-            out.flush()
-            yield answer
+        yield answer
 
 
-def _read(file: Path) -> Iterator[Any]:
-    """Whole answers; what was cut off by an interruption is cut from the file."""
+def _read(file: Path) -> tuple[list[Any], int]:
+    """Whole answers, and where in the file they end."""
+    found: list[Any] = []
+    end = 0
     if not file.exists():
-        return
-    with file.open("r+b") as source:
+        return found, end
+    with file.open("rb") as source:
         while True:
-            end = source.tell()
             try:
-                yield pickle.load(source)
+                found.append(pickle.load(source))
+                end = source.tell()
             except (EOFError, pickle.UnpicklingError):
-                source.truncate(end)
-                return
+                return found, end
 
 
 def _each(one: Callable[[int], Any], indices: Iterable[int], jobs: int, goes_on: Callable[[], bool]) -> Iterator[Any]:

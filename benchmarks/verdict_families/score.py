@@ -271,6 +271,8 @@ def _percent(some: Sequence[Case], is_so: Callable[[Case], bool]) -> str:
 
 def seconds(cases: Sequence[Case]) -> str:
     """CPU time of a verdict."""
+    if not cases:
+        return "no time"
     times = np.array([c.said.seconds for c in cases])
     return f"{np.median(times):.2f} s (median; {np.quantile(times, 0.95):.2f} s at the 95th percentile)"
 

@@ -10,6 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
+from verdict_families import kept
 from verdict_families.calibration import Stated, bins
 from verdict_families.cases import cases_of
 from verdict_families.following import Following, draw_following, linear_following
@@ -246,3 +247,23 @@ def test_no_verdict_is_wrong(first: int, tmp_path: Path) -> None:
     cases = [case for index in range(first, first + 5) for case in cases_of(SEED, index, 0.15, 3, tmp_path)]
     assert [line_of(c) for c in cases if c.wrong and not c.truth.hidden] == []
     assert [line_of(c) for c in cases if c.said.verdict == "crash"] == []
+
+
+# A run that was ended ---------------------------------------------------------------------------------------------
+
+
+def test_answers_of_a_run_that_was_ended_are_kept_and_it_goes_on(tmp_path: Path) -> None:
+    """Three answers, then a fourth of which only half reached the disk."""
+    file, asked = tmp_path / "answers.pickle", []
+
+    def answer(index: int) -> int:
+        asked.append(index)
+        return index * index
+
+    assert list(kept.answers(answer, range(3), file, 1, lambda: True)) == [0, 1, 4]
+    with file.open("ab") as source:
+        source.write(b"\x80\x05\x95\x12")
+    assert list(kept.answers(answer, range(5), file, 1, lambda: False)) == [0, 1, 4]
+    assert list(kept.answers(answer, range(5), file, 1, lambda: True)) == [0, 1, 4, 9, 16]
+    assert list(kept.answers(answer, range(2), file, 1, lambda: True)) == [0, 1]
+    assert asked == [0, 1, 2, 3, 4]
