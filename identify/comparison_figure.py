@@ -28,7 +28,7 @@ def plot_comparison(comparison: Comparison, path: str | Path, names: Sequence[st
 def comparison_figure(comparison: Comparison, names: Sequence[str] = ("first", "second")) -> Figure:
     """Above the four magnitudes of both, below the relative difference, its 95 % region and the worst places."""
     figure = new_figure(6.2)
-    above, below = figure.subfigures(2, 1, height_ratios=[1.35, 1.0])
+    above, below = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[1.35, 1.0])))
     _draw_magnitudes(np.asarray(above.subplots(2, 2, sharex=True, sharey=True)).ravel(), comparison, names)
     _draw_difference(below.subplots(), comparison)
     agree = "agree" if comparison.agrees else "do not agree"

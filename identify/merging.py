@@ -102,13 +102,22 @@ def _joined(parts: Sequence[tuple[str, FrequencyResponse]]) -> FrequencyResponse
             f"{first.meta['op_id']} has {f[order][twice[0]]:g} Hz in more than one of {tables}: which row is right is "
             "not for merging to say; seqsweep compare holds them against each other"
         )
-    arrays = {
-        key: np.concatenate([np.asarray(getattr(response, key)) for response in responses])[order]
+    y, covariance, status, reason = (
+        np.concatenate([np.asarray(getattr(response, key)) for response in responses])[order]
         for key in ("y", "covariance", "status", "reason")
-    }
+    )
     known = {key for response in responses for key in response.quality}
     quality = {key: np.concatenate([_quality(r, key) for r in responses])[order] for key in sorted(known)}
-    return replace(first, f_hz=f[order], quality=quality, meta=_facts(responses), **arrays)
+    return replace(
+        first,
+        f_hz=f[order],
+        y=y,
+        covariance=covariance,
+        status=status,
+        reason=reason,
+        quality=quality,
+        meta=_facts(responses),
+    )
 
 
 def _quality(response: FrequencyResponse, key: str) -> np.ndarray:

@@ -228,7 +228,7 @@ def _element_title(element: int, look: Look) -> str:
 
 
 def _decibels(size: np.ndarray) -> np.ndarray:
-    return 20.0 * np.log10(size)
+    return np.asarray(20.0 * np.log10(size))
 
 
 _SHOWN: dict[str, Callable[[np.ndarray], np.ndarray]] = {"log": np.asarray, "linear": np.asarray, "db": _decibels}

@@ -114,7 +114,7 @@ def speaking(command: Callable[..., None]) -> Callable[..., None]:
 
     told.__signature__ = signature.replace(parameters=[*own, *added])  # type: ignore[attr-defined]
     told.__annotations__ = {each.name: each.annotation for each in [*own, *added]}
-    del told.__wrapped__  # type: ignore[attr-defined]
+    del told.__wrapped__
     return told
 
 

@@ -55,7 +55,7 @@ def beating(plant: Plant, send: Callable[[Beat], None]) -> None:
         told(1, jobs, len(jobs))
         return phasors(jobs, *given)
 
-    phasors = getattr(plant, "run_phasors", None)
+    phasors: Any = getattr(plant, "run_phasors", None)
     alone = isinstance(plant, DrivenPlant)  # what can only go forwards drives its shots one after the other anyway
     with suppress(AttributeError):  # an object that takes no attribute has no beats
         plant.run = run_one_by_one if alone else run_together  # type: ignore[method-assign]
