@@ -10,7 +10,6 @@ from ..plant.errors import SeqsweepError
 from ..plant.operating_range import is_within
 from ..plant.protocol import Plant, Source, reactance_to_inductance
 from ..plant.registry import PlantCard, PlantSpec, card_of, runs_isolated
-from ..tuning.grids.in_time import circuit_of
 from .config.sections import (
     DEFAULT_INTERPOLATION_TOLERANCE,
     Config,
@@ -179,6 +178,8 @@ def _grid(where: str, section: GridSection, plant: PlantCard) -> Grid:
         assert section.x_ohm is not None
         l_h = reactance_to_inductance(section.x_ohm * section.scale, f1_hz)
         return Grid(section.r_ohm * section.scale, l_h, voltage_v)
+    from ..tuning.grids.in_time import circuit_of  # late: most sources are no circuit of elements
+
     try:
         circuit = circuit_of(section.elements, f1_hz).scaled(section.scale)
         z, gain = circuit.seen_at(2j * np.pi * f1_hz)
