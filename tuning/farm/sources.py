@@ -84,7 +84,7 @@ def judge_sources(farm: Farm, z_ohm: Sequence[complex]) -> tuple[OnSource, ...]:
     tree = _tree(farm.entry)
     z = np.asarray(z_ohm, dtype=complex)
     poles = _modes(farm, tree, z)
-    counts = _counts(farm, tree, z)
+    counts = _counts(farm, tree, z, poles)
     std = _errors(farm, tree, z, poles)
     return tuple(_one(farm, *parts) for parts in zip(z, counts, poles, std, strict=True))
 
@@ -143,17 +143,22 @@ def _determinant(farm: Farm, tree: Tree, z_ohm: np.ndarray, s: np.ndarray) -> np
 # The count -----------------------------------------------------------------------------------------------------------
 
 
-def _counts(farm: Farm, tree: Tree, z_ohm: np.ndarray) -> list[int | None]:
-    """Unstable modes on every source by the turns, against those on the farm's own."""
+def _counts(farm: Farm, tree: Tree, z_ohm: np.ndarray, poles: np.ndarray) -> list[int | None]:
+    """Unstable modes on every source by the turns, against those on the farm's own; None where they cannot be told."""
     known = farm.judgement.n_unstable_locus
     if known is None:
         return [None] * len(z_ohm)
     nu = _contour(farm)
-    s = farm.system.contour(nu)
-    y = reduced(tree, s, farm.system.by_bus(s)).y
-    own = _turns(farm, y, s, np.array([farm.entry.source_z_ohm]))[0]
-    turns = _turns(farm, y, s, z_ohm)
+    own, *turns = _on(farm, tree, nu, np.append(farm.entry.source_z_ohm, z_ohm))
+    for k in np.flatnonzero(np.isnan(turns)):  # a mode beside the axis, between two points
+        closer = about(poles[k][np.isfinite(poles[k])])
+        (turns[k],) = _on(farm, tree, np.unique(np.append(nu, closer[closer < nu[-1]])), z_ohm[k : k + 1])
     return [None if np.isnan(t) else known - round(2.0 * (t - own)) for t in turns]
+
+
+def _on(farm: Farm, tree: Tree, nu_hz: np.ndarray, z_ohm: np.ndarray) -> np.ndarray:
+    s = farm.system.contour(nu_hz)
+    return _turns(farm, reduced(tree, s, farm.system.by_bus(s)).y, s, z_ohm)
 
 
 def _turns(farm: Farm, y: np.ndarray, s: np.ndarray, z_ohm: np.ndarray) -> np.ndarray:
