@@ -14,7 +14,10 @@ from ..table.read import Table, read_table
 from ..table.write import write_table
 from .jumps import Border, Cut
 from .sparse_rational import Shape
-from .surrogate import Chosen, Surrogate, build_surrogate
+from .surrogate import Chosen, Surrogate, SurrogateError, build_surrogate
+
+FAR = 10.0
+"""In multiples of the rating: beyond, a power or a voltage is in another unit."""
 
 
 def write_surrogate(path: str | Path, surrogate: Surrogate, table: Table) -> None:
@@ -51,8 +54,21 @@ def surrogate_of(table: Table) -> Surrogate:
     SurrogateError
         If no surrogate can be built from it.
     """
+    _check_units(table)
     usable = [response for response in table.responses if response.usable.any()]
     return build_surrogate(usable, chosen=_chosen(table.meta.get("surrogate")), bases=table.meta.get("bases"))
+
+
+def _check_units(table: Table) -> None:
+    """Refuse operating points that are far from the device's rating: kW for MW, V for pu."""
+    rated_mva = (table.meta.get("bases") or {}).get("rated_power_va", 0.0) / 1e6
+    for response in table.responses:
+        name = response.meta.get("op_id")
+        power, voltage = response.meta.get("active_power_mw"), response.meta.get("terminal_voltage_pu")
+        if rated_mva and power and abs(power) > FAR * rated_mva:
+            raise SurrogateError(f"{name}: active_power_mw = {power:g} on a device of {rated_mva:g} MVA: is it in kW?")
+        if voltage and not 1.0 / FAR < voltage < FAR:
+            raise SurrogateError(f"{name}: terminal_voltage_pu = {voltage:g}: is it in V? Per unit is of the rating")
 
 
 def _plain(shape: Shape) -> dict[str, Any]:

@@ -92,6 +92,9 @@ class OperatingPointsSection(_Section):
     most: Annotated[int, Field(ge=8, le=1000)] = Field(
         default=40, description="a whole number from 8 to 1000, the operating points at which it gives up"
     )
+    most_minutes: Positive | None = Field(
+        default=None, description="a number above 0, the minutes after which no further operating point is begun"
+    )
     seed: Annotated[int, Field(ge=0)] = Field(
         default=0, description="a whole number of at least 0, of the first design"
     )

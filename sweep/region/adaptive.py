@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...identify.response import FrequencyResponse
-from ...identify.surrogate.design import Progress, first_points, gap_of, missed_by, next_point
+from ...identify.surrogate.design import WIDER, Progress, first_points, gap_of, missed_by, next_point
 from ...identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
 from ...identify.table.read import Table, read_table
 from ...identify.table.write import write_table
 from ...plant.errors import SeqsweepError
 from ..config.sections import Config, OperatingPointsSection
+from .pace import Pace
 
 Sweep = Callable[[Config, Path], None]
 """Sweeps a campaign with listed operating points into a table; goes on where that was interrupted."""
@@ -90,7 +91,7 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
     region = region_of(asked)
     folder = output.with_name(output.name + ".rounds")
     folder.mkdir(exist_ok=True)
-    swept, points = _Swept(), first_points(region, asked.seed)
+    swept, points, pace = _Swept(), first_points(region, asked.seed), Pace()
     while True:
         swept = _with_round(swept, config, points, folder, sweep)
         surrogate = build_surrogate(swept.useful, region=region)
@@ -98,8 +99,10 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
         width, between = gap_of(surrogate)
         progress = Progress(bar, at if between is None else between, swept.missed, width)
         certified = progress.is_certified(asked.tolerance)
-        say(_words(progress, surrogate, len(swept.responses), asked.tolerance))
-        if certified or len(swept.responses) >= asked.most:
+        pace.mark(len(swept.responses), bar)
+        told = _words(progress, surrogate, len(swept.responses), asked.tolerance)
+        say(told if certified else told + pace.left(asked.tolerance / WIDER))
+        if certified or len(swept.responses) >= asked.most or pace.is_over(asked.most_minutes):
             break
         swept, points = _predicted(swept, surrogate, config, progress.at, folder, sweep), np.zeros((0, 3))
     write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))

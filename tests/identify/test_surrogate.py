@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.surrogate.design import first_points, next_point
 from seqsweep.identify.surrogate.index_sets import border, chebyshev_products
 from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape, predict
-from seqsweep.identify.surrogate.store import read_surrogate, write_surrogate
+from seqsweep.identify.surrogate.store import read_surrogate, surrogate_of, write_surrogate
 from seqsweep.identify.surrogate.surrogate import AXES, Region, SurrogateError, build_surrogate, name_of
 from seqsweep.identify.table.read import Table, read_table
 from seqsweep.identify.table.write import write_table
@@ -152,6 +154,17 @@ BAD = {
 def test_sweeps_that_say_too_little_are_refused(made, words):
     with pytest.raises(SurrogateError, match=words):
         build_surrogate(made())
+
+
+@pytest.mark.parametrize(("axis", "factor", "words"), [(0, 1000.0, "is it in kW"), (2, 690.0, "is it in V")])
+def test_operating_points_in_other_units_are_refused(axis, factor, words):
+    responses = [
+        replace(response, meta={**response.meta, AXES[axis]: factor * response.meta[AXES[axis]]})
+        for response in swept(first_points(REGION, 1))
+    ]
+    table = SimpleNamespace(responses=responses, meta={"bases": {"rated_power_va": 1.632e6}})
+    with pytest.raises(SurrogateError, match=words):
+        surrogate_of(table)
 
 
 def test_a_bad_row_in_the_middle_costs_its_own_row():

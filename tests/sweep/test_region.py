@@ -10,6 +10,7 @@ import pytest
 from seqsweep.identify.surrogate.store import read_surrogate
 from seqsweep.identify.table.read import read_table, validate_table
 from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.region.pace import Pace
 from seqsweep.tuning.region.scan import scan
 from seqsweep.tuning.region.worst import worst_point
 from seqsweep.tuning.siso import parse_grid
@@ -149,3 +150,15 @@ def test_a_wrong_region_is_refused(top, region, words):
     sweep = {"f_hz": [10.0, 20.0], "operating_points": asked}
     with pytest.raises(ValueError, match=words):
         Config.from_dict({"campaign": {"name": "x"}, "plant": {"id": "dpmsg-v1"}, "sweep": sweep, **top})
+
+
+def test_the_pace_tells_what_is_left_only_while_the_bar_falls():
+    now = iter([0.0, 10.0, 20.0, 30.0, 90.0])
+    pace = Pace(clock=lambda: next(now))
+    pace.mark(6, 1e-1)
+    pace.mark(7, 1e-2)
+    assert pace.left(1.1e-4) == "; at this pace some 2 more, 20 s"
+    pace.mark(8, 3e-1)
+    assert "the error bar does not fall" in pace.left(1e-4)
+    assert pace.is_over(1.0)
+    assert not Pace().is_over(None)

@@ -17,7 +17,8 @@ from ...identify.fit.dq_data import to_dq
 from ...identify.fit.model import fit_response
 from ...identify.fit.rational import RationalModel
 from ...identify.response import FrequencyResponse
-from ...identify.surrogate.surrogate import Surrogate, build_surrogate
+from ...identify.surrogate.store import surrogate_of
+from ...identify.surrogate.surrogate import Surrogate
 from ...identify.table.read import Table
 from ...plant.errors import nearest
 from ..anchor import anchor_of
@@ -51,7 +52,7 @@ class Library:
     def surrogate(self, name: str) -> Surrogate:
         """The surrogate of a table."""
         if name not in self._surrogates:
-            self._surrogates[name] = build_surrogate(self.table(name).responses)
+            self._surrogates[name] = surrogate_of(self.table(name))
         return self._surrogates[name]
 
     def fitted(self, key: str, response: FrequencyResponse) -> tuple[RationalModel, int | None]:
