@@ -121,7 +121,7 @@ def _inverter(plant_id: str) -> tuple[Any, tuple[Any, ...], int]:
     state = plant.equilibrium(OperatingPoint(0.5 * plant.rating.power_va, 690.0), source)
     job = Job(state, Injection("series_voltage", (Tone(77.0, 0.5),)))
     ((lanes, _, table, tones),) = plant._batches([job] * kernel.LANES, [Window(77.0, 15)] * kernel.LANES, 400)
-    return partial(plant._advance(False), table), (lanes, tones, plant.parameters, plant.dt_s), kernel.SUM_V
+    return partial(plant._advance(""), table), (lanes, tones, plant.parameters, plant.dt_s), kernel.SUM_V
 
 
 def _prices() -> dict[str, float]:
