@@ -70,7 +70,9 @@ def believed(rows: Rows, model: RationalModel) -> Rows:
 
 
 def _some(data: DqData, chosen: np.ndarray) -> DqData:
-    return DqData(*(None if column is None else column[chosen] for column in data))
+    std = None if data.std is None else data.std[chosen]
+    covariance = None if data.covariance is None else data.covariance[chosen]
+    return DqData(data.nu_hz[chosen], data.y[chosen], std, covariance)
 
 
 def wind_rows(rows: Rows, grid: Grid, around_f1: RationalModel | None = None, hole: Hole | None = None) -> Winding:

@@ -64,6 +64,10 @@ class intrinsic:
         self.__doc__ = function.__doc__
         self._function = function
 
+    def __call__(self, *arguments: Any) -> Any:
+        """Only within a kernel."""
+        raise NotImplementedError(f"{self._function.__name__} is called by compiled code alone")
+
     @functools.cached_property
     def _numba_type_(self) -> Any:
         """How numba sees this function among the names that a kernel uses."""

@@ -58,8 +58,9 @@ def judge(
 
     check_outputs(output, force, plot, ".parquet")
     content = as_told(read_table(table), stable_on, exclude or ())
-    responses: Sequence[FrequencyResponse] | Following = chosen(content.responses, op)
-    names: Sequence[object] = [r.meta.get("op_id") for r in responses]
+    swept = chosen(content.responses, op)
+    responses: Sequence[FrequencyResponse] | Following = swept
+    names: Sequence[object] = [response.meta.get("op_id") for response in swept]
     if is_surrogate(content):
         model = model_of(content)
         responses = Following(model, tuple(powers_of(power, model)), source_voltage)

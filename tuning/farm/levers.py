@@ -44,8 +44,11 @@ class Lever(Protocol):
         Largest change of each.
     """
 
-    what: str
-    unit: str
+    @property
+    def what(self) -> str: ...
+
+    @property
+    def unit(self) -> str: ...
 
     @property
     def names(self) -> tuple[str, ...]: ...

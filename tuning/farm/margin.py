@@ -80,8 +80,8 @@ def _ratio(farm: Farm, f_hz: float, changes: dict[str, np.ndarray] | None = None
     y = system.admittance(s)
     for unit in farm.system.units:
         if changes and unit.key in changes:
-            at = system.place(unit)
-            y[:, at, at] += unit.factor * unit.turn @ changes[unit.key] @ unit.turn.T
+            place = system.place(unit)
+            y[:, place, place] += unit.factor * unit.turn @ changes[unit.key] @ unit.turn.T
     z = system.impedance(s)
     total = np.linalg.solve(np.eye(z.shape[1]) + z @ y, z)
     at = 2 * system.ports.index(entry.source_bus)

@@ -39,8 +39,11 @@ _STEP_MOST = 0.5  # of the most that one round changes, so that a straight line 
 class Demand(Protocol):
     """What the farm shall have; ``unit`` is that of what is missing."""
 
-    unit: str
-    probability: float
+    @property
+    def unit(self) -> str: ...
+
+    @property
+    def probability(self) -> float: ...
 
     @property
     def words(self) -> str:
