@@ -52,7 +52,7 @@ STEP = re.compile(
     re.DOTALL,
 )
 LEFT_OUT = "..."
-PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots|sweeps)\b|took \d|.*\bgiven up in \d")
+PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots|sweeps)\b|took \d|going on: \d|.*\bgiven up in \d")
 Step = tuple[str, str, str]
 """Kind (run, file, picture), name, and command, text or file."""
 
