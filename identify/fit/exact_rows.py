@@ -18,6 +18,7 @@ from .vector_fit import vector_fit
 _DESCRIBED = 1e-5  # misfit of an interpolant, relative to Y, that noise does not allow
 _UNEXPLAINED = 4.0  # variances beyond the stated ones from which on a misfit is no noise
 _HIGHEST, _PER_ROW = 27, 0.8  # order of an interpolant, and order per row: half as many parameters as numbers
+_ONE_PLACE = 1e-6  # rows closer than this, relatively, are at one place
 _MANY = 150  # rows from which on the order search does not get stuck
 
 
@@ -34,7 +35,12 @@ def from_interpolant(problem: Problem, data: DqData, trial: Trial) -> Trial:
 
 
 def _describing(data: DqData) -> Barycentric | None:
-    """The first interpolant that describes the rows and is not ten times worse than the next, if any does."""
+    """The first interpolant that describes the rows and is not ten times worse than the next, if any does.
+
+    Rows that were measured twice, at f and at its mirror image, differ: they have noise.
+    """
+    if np.any(np.diff(data.nu_hz) <= _ONE_PLACE * data.nu_hz[1:]):
+        return None
     best = None
     for found in interpolants(data):
         if 2 * len(found.z) - 1 > min(_HIGHEST, _PER_ROW * len(data.nu_hz)):

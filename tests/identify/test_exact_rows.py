@@ -53,3 +53,16 @@ def test_noise_is_no_start() -> None:
     problem = weighted(data, 1e-7)
     trial = select_order(problem, 22, None)
     assert from_interpolant(problem, data, trial) is trial
+
+
+def test_rows_measured_twice_are_fitted_without_an_interpolant() -> None:
+    """At f and at its mirror image, each with noise of its own and no covariance: once a crash."""
+    response = rows(1, 1e-2)[0]
+    mirrored = rows(1, 2e-2)[0]
+    both = FrequencyResponse(
+        np.concatenate([100.0 - mirrored.f_hz[:20], response.f_hz]),
+        np.concatenate([np.conj(mirrored.y[:20])[:, ::-1, ::-1], response.y]),
+        50.0,
+        meta=response.meta,
+    )
+    assert fit_response(both).order > 0
