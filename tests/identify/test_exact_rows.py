@@ -60,8 +60,8 @@ def test_rows_measured_twice_are_fitted_without_an_interpolant() -> None:
     response = rows(1, 1e-2)[0]
     mirrored = rows(1, 2e-2)[0]
     both = FrequencyResponse(
-        np.concatenate([100.0 - mirrored.f_hz[:20], response.f_hz]),
-        np.concatenate([np.conj(mirrored.y[:20])[:, ::-1, ::-1], response.y]),
+        np.concatenate([100.0 - mirrored.f_hz[19::-1], response.f_hz]),
+        np.concatenate([np.conj(mirrored.y[19::-1])[:, ::-1, ::-1], response.y]),
         50.0,
         meta=response.meta,
     )
