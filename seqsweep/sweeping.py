@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -379,7 +380,15 @@ class Campaign:
         return f"<Campaign {self.config.campaign.name}: {self.config.plant.id} at {points}>"
 
     def plan(self) -> Plan:
-        """Every shot it will fire; nothing runs."""
+        """Every shot it will fire; nothing runs.
+
+        Raises
+        ------
+        SeqsweepError
+            If its operating points are chosen while it runs.
+        """
+        if self.config.sweep.operating_points is not None:
+            raise SeqsweepError("its operating points are chosen while it runs: there is no plan before; run it")
         return make_plan(self.config, self._plant())
 
     def run(
@@ -416,13 +425,36 @@ class Campaign:
     def _run(self, output: Path, jobs: int | None, force: bool, progress: bool) -> Table:
         if output.exists() and not force:
             raise SeqsweepError(f"{output} exists; force=True replaces it")
-        plant = self._plant()
-        plan = make_plan(self.config, plant)
-        with _shown(progress) as shown:
-            workers = jobs or os.cpu_count() or 1
-            outcome = run_campaign(plan, plant, output, jobs=workers, discard=force, report=shown.report, say=shown.say)
-        _warn([*plan.warnings, *outcome.remarks])
+        workers = jobs or os.cpu_count() or 1
+        if self.config.sweep.operating_points is None:
+            _run_listed(self.config, output, workers, force, progress)
+        else:
+            _run_region(self.config, output, workers, force, progress)
         return read_table(output)
 
     def _plant(self) -> Plant | PlantCard:
         return plant_or_card(self.config)
+
+
+def _run_listed(config: Config, output: Path, workers: int, force: bool, progress: bool) -> None:
+    """A campaign whose operating points are listed, to its table."""
+    plant = plant_or_card(config)
+    plan = make_plan(config, plant)
+    with _shown(progress) as shown:
+        outcome = run_campaign(plan, plant, output, jobs=workers, discard=force, report=shown.report, say=shown.say)
+    _warn([*plan.warnings, *outcome.remarks])
+
+
+def _run_region(config: Config, output: Path, workers: int, force: bool, progress: bool) -> None:
+    """A campaign that chooses its operating points, to its table."""
+    from .sweep.region.adaptive import sweep_region
+
+    def one_round(listed: Config, path: Path) -> None:
+        _run_listed(listed, path, workers, force, False)
+
+    if force:
+        shutil.rmtree(output.with_name(output.name + ".rounds"), ignore_errors=True)
+    with _shown(progress) as shown:
+        outcome = sweep_region(config, output, one_round, shown.say)
+    if not outcome.certified:
+        _warn([f"Y is not certified to {outcome.tolerance:g}: a larger `most` sweeps on, or ask for less"])

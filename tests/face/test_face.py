@@ -378,3 +378,27 @@ def test_z_is_unknown_where_there_is_no_inverse():
     z = ss.FrequencyResponse([1.0, 2.0, 3.0], y, 50.0).z
     assert np.array_equal(z[0], [[1.0, 0.0], [0.0, 0.5]])
     assert np.isnan(z[1:]).all()
+
+
+def test_a_campaign_over_a_region_runs_here_as_from_the_command_line(tmp_path):
+    campaign = ss.Campaign.from_dict(
+        {
+            "campaign": {"name": "region"},
+            "plant": {"id": "dpmsg-v1"},
+            "sweep": {
+                "f_hz": [10.0, 23.0, 77.0, 140.0, 300.0],
+                "operating_points": {
+                    "active_power_mw": [0.4, 0.5],
+                    "terminal_voltage_pu": [0.98, 1.02],
+                    "tolerance": 0.05,
+                    "most": 8,
+                },
+            },
+            "injection": {"amplitude_pu": 0.0005},
+        }
+    )
+    with pytest.raises(ss.SeqsweepError, match="chosen while it runs"):
+        campaign.plan()
+    table = campaign.run(tmp_path / "y.parquet", progress=False)
+    assert 3 <= len(table.responses) <= 8
+    assert [path.name for path in tmp_path.iterdir()] == ["y.parquet"]
