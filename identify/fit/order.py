@@ -64,10 +64,16 @@ def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple
         if not found:
             break
         kept, trial = min(found, key=lambda pt: pt[1].bic)
-        nu = np.setdiff1d(problem.s.imag, kept.s.imag)[0] / (2.0 * np.pi)
+        nu = left_out_hz(problem.s, kept.s)
         notes += (f"the row at |f - f1| = {nu:.4g} Hz does not agree with its neighbours and was left out of the fit",)
         problem = kept
     return problem, trial, notes
+
+
+def left_out_hz(s: np.ndarray, kept: np.ndarray) -> float:
+    """|f - f1| (Hz) of the one row of ``s`` (n,) that ``kept`` (n - 1,) lacks; others may have the same frequency."""
+    first = int(np.argmin(np.append(s[:-1] == kept, False)))
+    return float(s.imag[first] / (2.0 * np.pi))
 
 
 def narrow_poles(problem: Problem, poles: np.ndarray) -> np.ndarray:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.fit.dq_data import DqData, to_dq
+from seqsweep.identify.fit.least_squares import Problem
 from seqsweep.identify.fit.local_rational import between_rows, local_rational
 from seqsweep.identify.fit.model import fit_response
+from seqsweep.identify.fit.order import left_out_hz, without_rows
 
 from ..support import oracle
 from .test_anchor import unstable_device
@@ -60,3 +62,11 @@ def test_noise_that_differs_from_row_to_row_buys_no_poles() -> None:
 def test_a_table_without_outliers_loses_no_row() -> None:
     response = turbine(noise=1e-3, seed=3)
     assert len(fit_response(response).nu_hz) == len(to_dq(response).nu_hz)
+
+
+def test_an_outlying_row_beside_one_of_the_same_frequency_is_named() -> None:
+    """At f and at its mirror image, measured by experiments of their own: once an IndexError."""
+    s, y = 2j * np.pi * np.array([1.0, 2.0, 2.0, 3.0]), np.zeros((4, 4), dtype=complex)
+    problem = Problem(s, y, np.ones((4, 4)), None, 1e-7, "relative", 1e-7)
+    kept = [without_rows(problem, np.array([row])).s for row in range(4)]
+    assert [left_out_hz(s, rest) for rest in kept] == pytest.approx([1.0, 2.0, 2.0, 3.0])
