@@ -30,27 +30,31 @@ class Waves:
 
     Parameters
     ----------
-    forcing_of : callable
-        Source and signed frequency (Hz) to (4,) complex: what a tone adds in a step, per volt at its start.
     dt_s : float
         Step (s).
     """
 
-    def __init__(self, forcing_of: Callable[[Source, float], np.ndarray], dt_s: float):
-        self._forcing_of, self._rate_hz = forcing_of, 1.0 / dt_s
+    def __init__(self, dt_s: float):
+        self._rate_hz = 1.0 / dt_s
         self._kept: dict[tuple[tuple[tuple[float, complex], ...], Source], np.ndarray] = {}
 
-    def of(self, tones: Spectrum, source: Source) -> np.ndarray:
-        """The waveform as the kernel takes it, (n_rows, 5) complex; `NO_WAVE` where the tones are better summed."""
+    def of(self, tones: Spectrum, source: Source, forcing_of: Callable[[Source, float], np.ndarray]) -> np.ndarray:
+        """The waveform as the kernel takes it, (n_rows, 5) complex; `NO_WAVE` where the tones are better summed.
+
+        ``forcing_of`` gives for a source and a signed frequency (Hz) the (4,) complex that a tone adds in a step, per
+        volt at its start. It is not kept: it is the plant's own, and would keep the plant.
+        """
         key = tuple(tones), source
         if key not in self._kept:
             n_rows = common_period([tones], self._rate_hz) if tones else 0
-            made = self._made(tones, source, n_rows) if n_rows else NO_WAVE
+            made = self._made(tones, source, forcing_of, n_rows) if n_rows else NO_WAVE
             self._kept = {key: made, **dict([*self._kept.items()][: WAVES_KEPT - 1])}
         return self._kept[key]
 
-    def _made(self, tones: Spectrum, source: Source, n_rows: int) -> np.ndarray:
-        added = [(f_hz, phasor * self._forcing_of(source, f_hz)) for f_hz, phasor in tones]
+    def _made(
+        self, tones: Spectrum, source: Source, forcing_of: Callable[[Source, float], np.ndarray], n_rows: int
+    ) -> np.ndarray:
+        added = [(f_hz, phasor * forcing_of(source, f_hz)) for f_hz, phasor in tones]
         columns = [tones, *([(f_hz, each[k]) for f_hz, each in added] for k in range(4))]
         return np.stack([waveform(column, self._rate_hz, n_rows, 0) for column in columns], axis=1)
 

@@ -104,7 +104,7 @@ class SampledTurbine:
         self._delay, self._patience = delay, patience
         self.compensation = block
         self._port = port_of(block, parameters.w1_rad_s, dt_s)
-        self._waves = Waves(self._forcing, dt_s)
+        self._waves = Waves(dt_s)
         self.controller = open_controller()
         self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
 
@@ -466,7 +466,7 @@ class SampledTurbine:
 
         state, source = job.state, job.state.source
         injected = list(series_tones(job.injection, source, lambda f_hz: circuit.impedance(source, f_hz)))
-        wave = self._waves.of(injected, source)
+        wave = self._waves.of(injected, source, self._forcing)
         tones = [(self.f1_hz, state.v_source), *([] if len(wave) else injected)]
         first_s = state.step * self.dt_s
         return kernel.Tones(

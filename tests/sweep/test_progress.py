@@ -84,9 +84,10 @@ def test_on_a_terminal_no_text_is_glued_to_the_bar(tmp_path):
     lines = "[plant.parameters]\nrest_s = 0.05\n"
     file = campaign(tmp_path, plant="python:plants:SlowBranch", plant_lines=lines, powers=(0.1, 0.2), n=12)
     shown, terminal = pty.openpty()
-    words = [SEQSWEEP, "run", file, "-o", tmp_path / "y.parquet", "--jobs", "1"]
+    words = [SEQSWEEP, "run", file, "-o", "y.parquet", "--jobs", "1"]  # a name so short that no line breaks in it
+    environment = {**os.environ, "TERM": "xterm", "PYTHONPATH": str(HERE)}
     process = subprocess.Popen(
-        words, cwd=HERE, stdin=subprocess.DEVNULL, stdout=terminal, stderr=terminal, env={**os.environ, "TERM": "xterm"}
+        words, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=terminal, stderr=terminal, env=environment
     )
     os.close(terminal)
     text = b""
@@ -103,5 +104,5 @@ def test_on_a_terminal_no_text_is_glued_to_the_bar(tmp_path):
     screen = text.decode()
     assert "/24 points" in screen
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\x1b", screen)
-    at = plain.index("y.parquet: 24 ok") - len(str(tmp_path)) - 1
+    at = plain.index("y.parquet: 24 ok")
     assert plain[at - 1] in "\n\r\x1b"

@@ -19,6 +19,8 @@ from .entries import FarmError
 
 _EYE = np.eye(2)
 
+_SHORT_OHM = 1e-9  # as good as a short circuit: the devices' and the network's own determinant both hold it
+
 
 class Step(NamedTuple):
     """One branch of the tree, from the node nearer to the source to the farther one."""
@@ -159,13 +161,19 @@ def _at_nodes(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray]) -> d
     return y
 
 
-def _impedance(branch: Branch, s: np.ndarray) -> np.ndarray:
+def _series(branch: Branch, s: np.ndarray) -> np.ndarray:
+    """R + s L, but for a lossless inductance at f = 0, which nothing can be divided by."""
     z = branch.r_ohm + s * branch.l_h
+    return np.where(z == 0.0, _SHORT_OHM, z)
+
+
+def _impedance(branch: Branch, s: np.ndarray) -> np.ndarray:
+    z = _series(branch, s)
     return np.asarray(z + 1.0 / (s * branch.c_f)) if branch.c_f < inf else np.asarray(z)
 
 
 def _admittance(branch: Branch, s: np.ndarray) -> np.ndarray:
-    z = branch.r_ohm + s * branch.l_h
+    z = _series(branch, s)
     return np.asarray(s * branch.c_f / (1.0 + s * branch.c_f * z)) if branch.c_f < inf else np.asarray(1.0 / z)
 
 
