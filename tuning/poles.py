@@ -250,7 +250,12 @@ def _covariance(model: RationalModel, grid: Grid, poles: np.ndarray) -> np.ndarr
     """(n, 2, 2) over Re and Im by the delta method, errors of the device and of the grid together."""
     if len(poles) == 0:
         return np.zeros((0, 2, 2))
-    weight = mode_weight(model, grid, poles)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a double pole nothing is known
+        return _moved(model, grid, poles, mode_weight(model, grid, poles))
+
+
+def _moved(model: RationalModel, grid: Grid, poles: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Covariance (n, 2, 2) of poles that move by ``weight`` (n, 2, 2) with Ydq."""
     behind = np.swapaxes(np.linalg.inv(impedance_dq(grid, poles)), 1, 2)
     errors = np.append(spread(model, poles, weight), grid.spread_dq(poles, -(behind @ weight @ behind)), axis=1)
     effect = np.stack([errors.real, errors.imag], axis=1)

@@ -146,9 +146,22 @@ class Dynamics:
         return self._forced(1j * self.w1_rad_s, self.system.b @ currents)
 
     def by_tone(self, f_rad_s: float, right: np.ndarray) -> Turning:
-        """What a tone at ``f_rad_s`` of the phase frame holds, (s E - A) x = ``right``; of a symmetric network."""
+        """What a tone at ``f_rad_s`` of the phase frame holds, (s E - A) x = ``right``; of a symmetric network.
+
+        Raises
+        ------
+        SeqsweepError
+            If the network lets no such tone through.
+        """
         s = 1j * f_rad_s
-        return Turning(f_rad_s - self.w1_rad_s, np.linalg.solve(s * self.system.e - self.system.a, right))
+        try:
+            held = np.linalg.solve(s * self.system.e - self.system.a, right)
+        except np.linalg.LinAlgError:
+            raise SeqsweepError(
+                f"the grid's elements let no tone at {f_rad_s / (2.0 * np.pi):g} Hz through (a series capacitor passes "
+                "no direct current): leave the row at 2 f1 out, or sweep on an ideal source"
+            ) from None
+        return Turning(f_rad_s - self.w1_rad_s, held)
 
     def _forced(self, s: complex, right: np.ndarray) -> tuple[Turning, ...]:
         """Both sequences of a space vector exp(s t) that enters at ``right`` (n,), in the dq frame."""

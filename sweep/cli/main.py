@@ -123,6 +123,9 @@ def _status() -> int:
     except (BrokenPipeError, SystemExit):  # nobody reads on; typer makes the latter of the former
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
+    except IsADirectoryError as error:
+        typer.echo(f"{error.filename} is a folder; name a file", err=True)
+        return WRONG_INPUT
     except OSError as error:
         kept = error.errno in _FULL and _began(arguments)
         tell(f"{_in_words(error)}{'; what was measured is kept: ' + GO_ON if kept else ''}")

@@ -86,7 +86,8 @@ def _conditions(plan: Plan, plant: Plant | PlantCard) -> Iterator[str]:
     for condition in plan.conditions[:CONDITIONS_SHOWN]:
         voltage = condition.terminal_voltage_v
         where = f"{voltage / plant.rating.voltage_v:.4g} pu" if voltage else "|v_pcc| from the grid"
-        yield f"  {condition.op_id}: {condition.active_power_w / 1e6:.4g} MW, {where}"
+        reactive = f"{condition.reactive_power_var / 1e6:.4g} Mvar, " if condition.reactive_power_var else ""
+        yield f"  {condition.op_id}: {condition.active_power_w / 1e6:.4g} MW, {reactive}{where}"
     if len(plan.conditions) > CONDITIONS_SHOWN:
         yield f"  ... and {len(plan.conditions) - CONDITIONS_SHOWN} more"
 

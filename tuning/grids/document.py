@@ -26,6 +26,7 @@ from ..network.equipment import (
     transformer,
 )
 from .errors import GridError
+from .voltages import check_place, check_sides
 
 PCC, SOURCE = "pcc", "source"
 TOP_KEYS = ("f1_hz", "voltage_kv", "rated_power_mw", "name", "element")
@@ -244,6 +245,7 @@ def _levels(elements: Sequence[Element], voltage_kv: float | None) -> dict[str, 
     levels = {PCC: voltage_kv * 1e3} if voltage_kv else {}
     for element in elements:  # a transformer tells its sides, where nothing else does
         if element.kind == "transformer":
+            check_place(element.name, element.values["vn_lv_kv"], levels.get(element.a))
             levels.setdefault(element.a, element.values["vn_lv_kv"] * 1e3)
             levels.setdefault(element.b, element.values["vn_hv_kv"] * 1e3)
     for _ in elements:
@@ -315,7 +317,13 @@ def _series_capacitor(element: Element, at: Place) -> list[Branch]:
     if "compensation_percent" in values:
         if not at.x_lines_ohm > 0.0:
             raise GridError(f"{element.name}: no line at this voltage whose X could be compensated; give x_ohm")
-        x = _positive(element, "compensation_percent") / 100.0 * at.x_lines_ohm
+        percent = _positive(element, "compensation_percent")
+        if percent > 100.0:
+            raise GridError(
+                f"{element.name}: compensation_percent = {percent:g}; needed is at most 100, all of the X of the lines "
+                "at its voltage; x_ohm says more"
+            )
+        x = percent / 100.0 * at.x_lines_ohm
     else:
         x = values["x_ohm"] if "x_ohm" in values else 1.0 / (at.w1_rad_s * _positive(element, "c_uf") * 1e-6)
     if not x > 0.0:
@@ -407,6 +415,7 @@ def _transformer(element: Element, at: Place) -> list[Branch]:
     if not vk > vkr:
         raise GridError(f"{element.name}: vk_percent = {vk * 100:g} must be above vkr_percent = {vkr * 100:g}")
     low_kv, high_kv = _positive(element, "vn_lv_kv"), _positive(element, "vn_hv_kv")
+    check_sides(element.name, {"vn_lv_kv": low_kv, "vn_hv_kv": high_kv})
     ratio = low_kv / (high_kv * (1.0 + values.get("tap_percent", 0.0) / 100.0))
     rated_va = _positive(element, "sn_mva") * 1e6
     return [transformer(element.name, at.a, at.b, ratio, rated_va, low_kv * 1e3, vk, vkr, at.w1_rad_s)]

@@ -13,6 +13,7 @@ from tests.support.networks import KINDS, W1, impedance_of, random_document
 
 F = np.geomspace(0.5, 4000.0, 40)
 S = 2j * np.pi * F
+TRANSFORMER = {"kind": "transformer", "sn_mva": 2.0, "vn_lv_kv": 0.69, "vn_hv_kv": 35.0, "vk_percent": 6.0}
 SERIES = {"kind": "series", "r_ohm": 0.01, "x_ohm": 0.25}
 CABLE = {"kind": "cable", "r_ohm_per_km": 0.05, "l_mh_per_km": 0.35, "c_nf_per_km": 250.0}
 SOURCE = {"kind": "source", "s_sc_mva": 500.0, "r_over_x": 0.1}
@@ -158,6 +159,9 @@ def test_every_kind_says_what_of_it_can_be_varied() -> None:
         ({"element": [SERIES, {"kind": "shunt_capacitor", "c_uf": 1.0}]}, "no effect"),
         ({"element": [{"kind": "shunt_capacitor", "c_uf": 1.0, "q_mvar": 1.0}, SERIES]}, "exactly one"),
         ({"element": [{"kind": "series_capacitor", "compensation_percent": 20.0}]}, "no line"),
+        ({"element": [SERIES, {"kind": "series_capacitor", "compensation_percent": 120.0}]}, "at most 100"),
+        ({"element": [{**TRANSFORMER, "vn_hv_kv": 35e3}, SERIES], "voltage_kv": 0.69}, "V and kV mixed up"),
+        ({"element": [TRANSFORMER, SERIES], "voltage_kv": 690.0}, "stands where the voltage is 690 kV"),
         ({"element": [{**CABLE, "length_km": 0.0}]}, "above 0"),
         ({"element": [{**SERIES, "name": "a"}, {**SERIES, "name": "a"}]}, "two elements"),
         ({"element": [{**SERIES, "from": "a", "to": "b"}]}, "not connected|'pcc'"),
