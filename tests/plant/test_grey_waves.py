@@ -50,7 +50,7 @@ def test_a_waveform_is_the_sum_of_its_tones(source, first_step):
     rng = np.random.default_rng(3)
     tones = [(float(f_hz), complex(*rng.normal(size=2))) for f_hz in (*range(-90, 0, 6), *range(2, 400, 10))]
     fundamental = [(50.0, 560.0 + 0j)]
-    wave = Waves(forcing_of, DT_S).of(tones, source)
+    wave = Waves(DT_S).of(tones, source, forcing_of)
     assert len(wave) == 5000  # the grid of 2 Hz
     summed = ran(source, [*fundamental, *tones], NO_WAVE, first_step, 6000)
     tabled = ran(source, fundamental, wave, first_step, 6000)
@@ -59,16 +59,16 @@ def test_a_waveform_is_the_sum_of_its_tones(source, first_step):
 
 
 def test_few_tones_and_tones_on_no_grid_stay_sums():
-    waves = Waves(forcing_of, DT_S)
-    assert waves.of([], LINE) is NO_WAVE
-    assert waves.of([(77.0, 1.0 + 0j)], LINE) is NO_WAVE
-    assert waves.of([(10.0 * k + 0.001 * k**2, 1.0 + 0j) for k in range(1, 30)], LINE) is NO_WAVE
+    waves = Waves(DT_S)
+    assert waves.of([], LINE, forcing_of) is NO_WAVE
+    assert waves.of([(77.0, 1.0 + 0j)], LINE, forcing_of) is NO_WAVE
+    assert waves.of([(10.0 * k + 0.001 * k**2, 1.0 + 0j) for k in range(1, 30)], LINE, forcing_of) is NO_WAVE
 
 
 def test_a_waveform_is_made_once_and_a_few_are_kept():
-    waves = Waves(forcing_of, DT_S)
+    waves = Waves(DT_S)
     signals = [[(10.0 * k, 1.0 + 0.1j * n) for k in range(1, 20)] for n in range(WAVES_KEPT + 1)]
-    made = [waves.of(signal, LINE) for signal in signals]
-    assert waves.of(signals[-1], LINE) is made[-1]
-    assert waves.of(signals[0], LINE) is not made[0]
+    made = [waves.of(signal, LINE, forcing_of) for signal in signals]
+    assert waves.of(signals[-1], LINE, forcing_of) is made[-1]
+    assert waves.of(signals[0], LINE, forcing_of) is not made[0]
     assert len(waves._kept) == WAVES_KEPT

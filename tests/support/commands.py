@@ -127,7 +127,8 @@ def _read_again(file):
 def _is_a_tests_own(module):
     """Whether a module is a plant of a test: the next command may find another one under its name."""
     path = getattr(module, "__file__", None) or ""
-    return path.startswith((str(HERE), gettempdir()))
+    of_the_program = path.startswith((str(TOP), sys.prefix))  # the clone itself may lie among temporary files
+    return path.startswith(str(HERE)) or (path.startswith(gettempdir()) and not of_the_program)
 
 
 def start(*arguments, **options):
