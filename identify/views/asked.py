@@ -151,13 +151,15 @@ def value_at(response: FrequencyResponse, f_hz: float, look: Look = Look()) -> V
     Raises
     ------
     SeqsweepError
-        If the frequency lies outside of the usable rows, or there are too few of them to interpolate.
+        If the frequency lies outside of the usable rows, or nearer to f1 than all of them, or there are too few of them
+        to interpolate.
     """
     usable = response[response.usable]
     apart = np.abs(usable.f_hz - f_hz)
     if len(usable) and apart.min() <= SAME * abs(f_hz):
         return _value(usable[int(apart.argmin())], look, None, 0.0)
-    if len(usable) < MIN_ROWS or not usable.f_hz[0] <= f_hz <= usable.f_hz[-1]:
+    outside = len(usable) < MIN_ROWS or not usable.f_hz[0] <= f_hz <= usable.f_hz[-1]
+    if outside or abs(f_hz - usable.f1_hz) < _nearest_to_f1_hz(usable):
         raise SeqsweepError(_refusal(response, usable, f_hz))
     right = int(np.searchsorted(usable.f_hz, f_hz))
     around = [right - 1, right]
@@ -167,6 +169,11 @@ def value_at(response: FrequencyResponse, f_hz: float, look: Look = Look()) -> V
     covariance = covariance + (error * np.linalg.norm(y)) ** 2 / 8.0 * np.eye(8)
     between = replace(usable[around[0]], f_hz=np.array([f_hz]), y=y, covariance=covariance[None])
     return _value(between, look, (float(usable.f_hz[around[0]]), float(usable.f_hz[around[1]])), error)
+
+
+def _nearest_to_f1_hz(response: FrequencyResponse) -> float:
+    """Smallest |f - f1| of the rows (Hz): seen from dq the lowest frequency, below which they tell nothing."""
+    return float(np.min(np.abs(response.f_hz - response.f1_hz)))
 
 
 def _left_out(response: FrequencyResponse, row: int) -> float:
@@ -190,6 +197,12 @@ def _refusal(response: FrequencyResponse, usable: FrequencyResponse, f_hz: float
     name = response.meta.get("op_id", "the table")
     if len(usable) < MIN_ROWS:
         return f"{name}: {f_hz:g} Hz is no row, and {len(usable)} usable rows are too few to interpolate ({MIN_ROWS})"
+    if usable.f_hz[0] <= f_hz <= usable.f_hz[-1]:
+        nearest = _nearest_to_f1_hz(usable)
+        return (
+            f"{name}: {f_hz:g} Hz is nearer to f1 than every usable row ({nearest:.4g} Hz away); slow modes that the rows "
+            "do not show may turn Y there: sweep points closer to f1"
+        )
     return (
         f"{name}: {f_hz:g} Hz lies outside of its usable rows, {usable.f_hz[0]:g} to {usable.f_hz[-1]:g} Hz; nothing "
         "is extrapolated"

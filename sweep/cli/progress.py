@@ -152,16 +152,18 @@ class _Seen:
 
 def _every(seconds: float, show: Callable[[str], None]) -> Report:
     """A `Report` that shows a line of text every so often, and nothing of what is over at once."""
-    begin = time.monotonic()
-    last, first_share = begin - seconds + QUIET_S, -1.0
+    last = time.monotonic() - seconds + QUIET_S
+    kept, paced_from = -1.0, (0.0, 1.0)
 
     def report(done: int, total: int, share: float) -> None:
-        nonlocal last, first_share
+        nonlocal last, kept, paced_from
         now = time.monotonic()
-        if first_share < 0.0:  # what an earlier run kept says nothing about the speed of this one
-            first_share = share
+        if kept < 0.0:  # what an earlier run kept says nothing about the speed of this one
+            kept = share
+        elif paced_from[1] == 1.0 and share > kept:  # nor does the first of this one: it waits for code and workers
+            paced_from = now, share
         if now - last >= seconds:
-            fresh = share - first_share
+            begin, fresh = paced_from[0], share - paced_from[1]
             left = f", about {in_words((now - begin) / fresh * (1.0 - share))} left" if fresh > 0.0 else ""
             show(f"{done}/{total} points{left}")
             last = now

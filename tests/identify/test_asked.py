@@ -51,6 +51,15 @@ def test_nothing_is_extrapolated():
         value_at(response(F_HZ[:3]), float(F_HZ[:2].mean()))
 
 
+def test_nearer_to_f1_than_every_row_nothing_is_told():
+    """The turbine's slow modes turn Y within a hertz of f1, and no row shows it."""
+    rows = response()
+    nearest = float(np.abs(rows.f_hz - 50.0).min())
+    for f in (50.0, 50.0 - 0.9 * nearest, 50.0 + 0.9 * nearest):
+        with pytest.raises(SeqsweepError, match="nearer to f1 than every usable row"):
+            value_at(rows, f)
+
+
 def test_impedance_is_the_inverse_and_its_covariance_is_that_of_many_draws():
     rows = response()[40]
     shown = as_asked(rows, Look(impedance=True))

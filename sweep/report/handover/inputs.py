@@ -109,7 +109,9 @@ def _kind_of(path: Path) -> str:
 def _json(path: Path) -> Any:
     try:
         return json.loads(path.read_text("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except UnicodeDecodeError:
+        raise ReportError(f"{path}: neither a table nor a JSON result of seqsweep: it is no text") from None
+    except json.JSONDecodeError as error:
         raise ReportError(f"{path}: neither a table nor a JSON result of seqsweep: {error}") from None
 
 
