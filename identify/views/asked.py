@@ -200,8 +200,8 @@ def _refusal(response: FrequencyResponse, usable: FrequencyResponse, f_hz: float
     if usable.f_hz[0] <= f_hz <= usable.f_hz[-1]:
         nearest = _nearest_to_f1_hz(usable)
         return (
-            f"{name}: {f_hz:g} Hz is nearer to f1 than every usable row ({nearest:.4g} Hz away); slow modes that the rows "
-            "do not show may turn Y there: sweep points closer to f1"
+            f"{name}: {f_hz:g} Hz is nearer to f1 than every usable row ({nearest:.4g} Hz away); slow modes that the "
+            "rows do not show may turn Y there: sweep points closer to f1"
         )
     return (
         f"{name}: {f_hz:g} Hz lies outside of its usable rows, {usable.f_hz[0]:g} to {usable.f_hz[-1]:g} Hz; nothing "
