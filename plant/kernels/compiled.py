@@ -104,10 +104,11 @@ class Kernel:
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """Numba's own."""
+        """Numba's own, for what cannot be kept here; its cache notices an edit of the function's own file alone."""
         import numba
 
-        return numba.njit(**self._options)(self.py_func)
+        kept = self._options.get("cache", False) and _is_whole(Path(self.py_func.__code__.co_filename))
+        return numba.njit(**(self._options | {"cache": kept}))(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
@@ -245,10 +246,22 @@ def _path(function: Callable[..., Any], options: dict[str, Any], kinds: str) -> 
 
 
 def _text(source: Path) -> bytes:
-    """The source file, and those beside it whose constants it takes."""
-    text = source.read_bytes()
-    others = sorted(set(re.findall(rb"^from \.(\w+) import", text, re.MULTILINE)))
-    return b"".join([text, *(source.with_name(f"{other.decode()}.py").read_bytes() for other in others)])
+    """The source file, and those beside it that it takes something from, theirs included."""
+    return b"".join(path.read_bytes() for path in _sources(source))
+
+
+def _is_whole(source: Path) -> bool:
+    """Whether a file takes nothing from others but the decorators of this one."""
+    return {path.name for path in _sources(source)} <= {source.name, Path(__file__).name}
+
+
+def _sources(source: Path) -> list[Path]:
+    found = [source]
+    for path in found:
+        others = sorted(set(re.findall(rb"^from \.(\w+) import", path.read_bytes(), re.MULTILINE)))
+        beside = (path.with_name(f"{other.decode()}.py") for other in others)
+        found += [other for other in beside if other not in found]
+    return found
 
 
 @functools.cache

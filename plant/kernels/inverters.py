@@ -6,14 +6,11 @@ controls, following and forming, give the bridge voltage; their variants are coe
 
 Everything is per unit on the device's rating, in the frame that rotates at w1, where an operating point is
 a fixed point; currents flow out of the device. Everything of a batch lives in ONE flat array,
-``x[slot * LANES + lane]``, and nothing here is taken from another file: see `turbine` for both reasons.
+``x[slot * LANES + lane]``: see `turbine` for the reason. What steps the network behind a lane is in `lanes`.
 Integrator: classical Runge-Kutta of order four.
 
 A *compensated* lane has a block between measurement and controller that tells the controller another
 voltage than the capacitor's (docs/damping.md); the circuit goes on with its own.
-
-This file stays whole: a cached kernel must call nothing outside its own file, because numba does not notice an edit
-elsewhere and would go on with the old machine code.
 """
 
 from __future__ import annotations
@@ -21,9 +18,8 @@ from __future__ import annotations
 import math
 
 from .compiled import njit
-
-LANES = 8
-"""Lanes of one flat array: one 512-bit or two 256-bit vectors of doubles."""
+from .lanes import FAST as _FAST
+from .lanes import LANES, feed, show_free
 
 # States: circuit, then one of the two controls, then the notch at the measurement port. Complex ones take two slots.
 I_C, V_C, I_G, V_DC = 0, 2, 4, 6
@@ -58,9 +54,6 @@ TAPER_0, TAPER_1, TAPER_2 = 0.42 - 0.08, -0.5, 2.0 * 0.08
 # Whether there is a block at the measurement port, or a DC link that moves: tuples, whose lengths the compiler knows,
 # so that no test is left in the code.
 ABSENT, PRESENT = (), (True,)
-
-# No "nnan" and no "ninf": a diverged lane must be seen.
-_FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 
 def array_slots(n_tones):
@@ -613,42 +606,6 @@ def _store_fed(x, lane, net, u0, u1, u2, u3):
         _put(x, FED + 4, lane, u3)
 
 
-@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _show_free(x, xi, seen):
-    """What the networks show of their states ``xi`` (m, LANES) alone, into its slots; ``seen`` (3, 2, m)."""
-    for place in range(3):
-        for row in range(2):
-            at = (FREE + 2 * place + row) * LANES
-            for lane in range(LANES):
-                x[at + lane] = 0.0
-            for k in range(xi.shape[0]):
-                weight = seen[place, row, k]
-                for lane in range(LANES):
-                    x[at + lane] += weight * xi[k, lane]
-
-
-@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _feed(x, xi, work, net):
-    """The networks go one step, driven by what was fed in."""
-    for k in range(xi.shape[0]):
-        for lane in range(LANES):
-            work[k, lane] = (
-                net.start[k, 0] * x[(FED + 0) * LANES + lane]
-                + net.start[k, 1] * x[(FED + 1) * LANES + lane]
-                + net.middle[k, 0] * x[(FED + 2) * LANES + lane]
-                + net.middle[k, 1] * x[(FED + 3) * LANES + lane]
-                + net.end[k, 0] * x[(FED + 4) * LANES + lane]
-                + net.end[k, 1] * x[(FED + 5) * LANES + lane]
-            )
-        for j in range(xi.shape[0]):
-            weight = net.keep[k, j]
-            for lane in range(LANES):
-                work[k, lane] += weight * xi[j, lane]
-    for k in range(xi.shape[0]):
-        for lane in range(LANES):
-            xi[k, lane] = work[k, lane]
-
-
 @njit(forceinline=True)
 def _complex_of(m):
     """The complex number that a (2, 2) matrix of pairs stands for."""
@@ -786,9 +743,9 @@ def _advance_network(step, link, table, x, n_tones, p, h, block_steps, slot, kep
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _show_free(x, xi, weights.seen)
+            show_free(x, FREE, xi, weights.seen)
             step(x, p, h, PRESENT, link, net)
-            _feed(x, xi, work, weights)
+            feed(x, FED, xi, work, weights)
         _keep(x, slot, kept, block)
 
 

@@ -1,13 +1,13 @@
 """The reference turbine, each lane behind a network of its own that is taken exactly through every step.
 
 Equations, slots and lanes are those of `turbine`; the shunt belongs to the network, which is fed the converter's
-current i_L. What takes a network through a step: `plant.circuits.stepping`. The key of the compiled code knows both
-files.
+current i_L. What takes a network through a step: `plant.circuits.stepping`.
 """
 
 from __future__ import annotations
 
 from .compiled import njit
+from .lanes import feed, show_free
 from .turbine import (
     _FAST,
     COMP_R,
@@ -41,42 +41,6 @@ from .turbine import (
     _told,
     _turned,
 )
-
-
-@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _show_free(x, xi, seen):
-    """What the network shows of its states ``xi`` (m, LANES) alone, into its slots; ``seen`` (3, 4, m)."""
-    for place in range(3):
-        for row in range(4):
-            at = (FREE + 4 * place + row) * LANES
-            for lane in range(LANES):
-                x[at + lane] = 0.0
-            for k in range(xi.shape[0]):
-                weight = seen[place, row, k]
-                for lane in range(LANES):
-                    x[at + lane] += weight * xi[k, lane]
-
-
-@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _feed(x, xi, work, net):
-    """The network goes one step, driven by what was fed in."""
-    for k in range(xi.shape[0]):
-        for lane in range(LANES):
-            work[k, lane] = (
-                net.start[k, 0] * x[(FED + 0) * LANES + lane]
-                + net.start[k, 1] * x[(FED + 1) * LANES + lane]
-                + net.middle[k, 0] * x[(FED + 2) * LANES + lane]
-                + net.middle[k, 1] * x[(FED + 3) * LANES + lane]
-                + net.end[k, 0] * x[(FED + 4) * LANES + lane]
-                + net.end[k, 1] * x[(FED + 5) * LANES + lane]
-            )
-        for j in range(xi.shape[0]):
-            weight = net.keep[k, j]
-            for lane in range(LANES):
-                work[k, lane] += weight * xi[j, lane]
-    for k in range(xi.shape[0]):
-        for lane in range(LANES):
-            xi[k, lane] = work[k, lane]
 
 
 @njit(forceinline=True)
@@ -192,9 +156,9 @@ def advance_network(reactive, table, x, n_tones, p, h, block_steps, slot, kept, 
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _show_free(x, xi, net.seen)
+            show_free(x, FREE, xi, net.seen)
             _step_network(reactive, x, p, h, net)
-            _feed(x, xi, work, net)
+            feed(x, FED, xi, work, net)
         _keep(x, slot, kept, block)
 
 
@@ -204,8 +168,8 @@ def advance_tracing_network(reactive, x, n_tones, p, h, samples, xi, work, net):
     _prepare_source(x, n_tones)
     for k in range(samples.shape[0]):
         samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
-        _show_free(x, xi, net.seen)
+        show_free(x, FREE, xi, net.seen)
         _step_network(reactive, x, p, h, net)
-        _feed(x, xi, work, net)
+        feed(x, FED, xi, work, net)
         for quantity in range(4):
             samples[k, quantity] = x[(V_RE + quantity) * LANES]

@@ -198,3 +198,14 @@ def test_a_warm_process_does_without_numba(work):
     text = f'import sys\n{work}\nprint("numba" in sys.modules)'
     said = [subprocess.run([sys.executable, "-c", text], capture_output=True, text=True).stdout for _ in range(2)]
     assert said[1] == "False\n"
+
+
+def test_the_key_knows_every_file_that_a_kernel_is_made_of(tmp_path):
+    for name, text in (("a", "from .b import x\n"), ("b", "from .c import x\n"), ("c", "from .a import x\nx = 1\n")):
+        (tmp_path / f"{name}.py").write_text(text)
+    before = compiled._text(tmp_path / "a.py")
+    (tmp_path / "c.py").write_text("from .a import x\nx = 2\n")
+    assert compiled._text(tmp_path / "a.py") != before
+    assert not compiled._is_whole(tmp_path / "a.py")
+    (tmp_path / "a.py").write_text("x = 1\n")
+    assert compiled._is_whole(tmp_path / "a.py")
