@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from seqsweep.identify.operating_state import fundamental_facts
-from seqsweep.identify.response import FrequencyResponse
 from seqsweep.sweep.verify.farm_figure import plot_farm
 from seqsweep.sweep.verify.farm_report import format_report, to_json
 from seqsweep.sweep.verify.farm_runs import verify_farm
@@ -16,7 +12,7 @@ from seqsweep.sweep.verify.farm_story import FarmStory, SourceStep, farm_story_o
 from seqsweep.sweep.verify.scenario import ScenarioError
 from seqsweep.sweep.verify.tuned import VerifyError
 from seqsweep.tuning.farm.units import Library
-from tests.support import oracle
+from tests.support import farms
 from tests.support.commands import call
 from tests.support.farm_oracle import Star, closed_loop
 
@@ -26,40 +22,8 @@ F_HZ = 50.0 + np.geomspace(0.4, 1200.0, 70)
 CAMPAIGN = {"plant": {"id": "dpmsg-v1", "parameters": {}}}
 
 
-def table_of(power_w: float, voltage_v: float, campaign: dict) -> SimpleNamespace:
-    """Exact rows of one operating point, as a table offers them, with the campaign that they might come from."""
-    m = oracle.linearise(power_w, voltage_v)
-    i, scale = oracle.current(m.x, m.v_pcc), np.sqrt(2.0 / 3.0)
-    meta = {
-        "op_id": "p",
-        "active_power_mw": power_w / 1e6,
-        "terminal_voltage_pu": voltage_v / 690.0,
-        "stable_on": {"grid": "ideal", "basis": "shots"},
-        "fundamental": fundamental_facts(complex(scale * voltage_v), complex(*i) * scale),
-    }
-    response = FrequencyResponse(F_HZ, oracle.admittance_pn(F_HZ, power_w, voltage_v), 50.0, meta=meta)
-    bases = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
-    return SimpleNamespace(
-        meta={"f1_hz": 50.0, "bases": bases, "configuration": campaign},
-        op_ids=("p",),
-        response=lambda op: response,
-        responses=(response,),
-    )
-
-
 def document(**others) -> dict:
-    n = len(POWERS_W)
-    return {
-        "bus": [{"name": "pcc", "voltage_kv": 0.69}, *({"name": f"t{k}", "voltage_kv": 0.69} for k in range(n))],
-        "series": [
-            {"name": f"z{k}", "from": f"t{k}", "to": "pcc", "r_ohm": STAR.z_t.real, "x_ohm": STAR.z_t.imag}
-            for k in range(n)
-        ],
-        "shunt": [{"name": "c", "bus": "pcc", "kind": "shunt_capacitor", "c_uf": STAR.c_f * 1e6}],
-        "source": [{"bus": "pcc", "r_ohm": STAR.z_s.real, "x_ohm": STAR.z_s.imag}],
-        "device": [{"name": f"wt{k}", "bus": f"t{k}", "table": f"t{k}"} for k in range(n)],
-        **others,
-    }
+    return {**farms.document(STAR, len(POWERS_W)), **others}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +34,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def library(truth):
-    tables = {f"t{k}": table_of(p, abs(truth[1][k]), CAMPAIGN) for k, p in enumerate(POWERS_W)}
+    tables = {f"t{k}": farms.table_of(p, abs(truth[1][k]), configuration=CAMPAIGN) for k, p in enumerate(POWERS_W)}
     return Library(tables.__getitem__)
 
 
@@ -195,7 +159,7 @@ def test_a_name_that_is_none_is_refused(library, event, words):
 
 
 def test_devices_that_cannot_be_simulated_together_are_refused(truth):
-    tables = {f"t{k}": table_of(p, abs(truth[1][k]), CAMPAIGN) for k, p in enumerate(POWERS_W)}
+    tables = {f"t{k}": farms.table_of(p, abs(truth[1][k]), configuration=CAMPAIGN) for k, p in enumerate(POWERS_W)}
     tables["t1"].meta["configuration"] = {}
     with pytest.raises(VerifyError, match="t1 names no campaign"):
         verify_farm(document(), Library(tables.__getitem__), KICK)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.fit.model import fit_response
-from seqsweep.identify.operating_state import fundamental_facts
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.farm.choices import fewest, least_norm, uniform
 from seqsweep.tuning.farm.document import farm_of
@@ -19,46 +18,10 @@ from seqsweep.tuning.farm.system import System
 from seqsweep.tuning.poles import closed_loop_poles
 from seqsweep.tuning.siso import SeriesRL
 
-from ..support import oracle
 from ..support.farm_oracle import Star, closed_loop
-
-F_HZ = 50.0 + np.geomspace(0.4, 1200.0, 90)
-RATED = {"rated_voltage_v": 690.0, "rated_power_va": 1.632e6}
-
-
-def table_of(power_w: float, voltage_v: float) -> SimpleNamespace:
-    """Exact rows of one operating point, as a table offers them."""
-    m = oracle.linearise(power_w, voltage_v)
-    i = oracle.current(m.x, m.v_pcc)
-    scale = np.sqrt(2.0 / 3.0)
-    meta = {
-        "op_id": "p",
-        "active_power_mw": power_w / 1e6,
-        "terminal_voltage_pu": voltage_v / 690.0,
-        "stable_on": {"grid": "ideal", "basis": "shots"},
-        "fundamental": fundamental_facts(complex(scale * voltage_v), complex(*i) * scale),
-    }
-    response = FrequencyResponse(F_HZ, oracle.admittance_pn(F_HZ, power_w, voltage_v), 50.0, meta=meta)
-    return SimpleNamespace(
-        meta={"f1_hz": 50.0, "bases": RATED}, op_ids=("p",), response=lambda op: response, responses=(response,)
-    )
-
+from ..support.farms import F_HZ, document, table_of
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.004 + 0.085j)
-
-
-def document(star: Star, n: int) -> dict:
-    """The star as a farm file: everything on 690 V, transformers as series elements."""
-    return {
-        "bus": [{"name": "pcc", "voltage_kv": 0.69}, *({"name": f"t{k}", "voltage_kv": 0.69} for k in range(n))],
-        "series": [
-            {"name": f"z{k}", "from": f"t{k}", "to": "pcc", "r_ohm": star.z_t.real, "x_ohm": star.z_t.imag}
-            for k in range(n)
-        ],
-        "shunt": [{"name": "c", "bus": "pcc", "kind": "shunt_capacitor", "c_uf": star.c_f * 1e6}],
-        "source": [{"bus": "pcc", "r_ohm": star.z_s.real, "x_ohm": star.z_s.imag}],
-        "device": [{"name": f"wt{k}", "bus": f"t{k}", "table": f"t{k}"} for k in range(n)],
-    }
 
 
 def farm_and_truth(star: Star, powers_w: list[float]):

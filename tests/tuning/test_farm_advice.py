@@ -24,7 +24,7 @@ from seqsweep.tuning.farm.units import Library
 from ..support import oracle
 from ..support.damped_oracle import damped_admittance, damped_system
 from ..support.farm_oracle import Star, closed_loop
-from .test_farm import F_HZ, RATED, document, table_of
+from ..support.farms import F_HZ, RATED, document, table_of
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.004 + 0.1j)
 POWERS_W = [0.8e6, 0.55e6, 0.4e6]

@@ -11,7 +11,7 @@ from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.entries import FarmError, NoLoadFlow
 from seqsweep.tuning.farm.farm import judged
 
-from .test_farm import table_of
+from ..support.farms import table_of
 from .test_farm_advice import region  # noqa: F401 (a fixture)
 from .test_network_files import FARM
 

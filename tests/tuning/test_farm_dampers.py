@@ -16,7 +16,8 @@ from seqsweep.tuning.farm.result import schema, text_of, to_json
 from seqsweep.tuning.farm.units import Library
 
 from ..support.farm_oracle import Star, closed_loop
-from .test_farm import document, nearest, table_of
+from ..support.farms import document, library_of
+from .test_farm import nearest
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.004 + 0.125j)
 POWERS_W = [0.45e6, 0.6e6, 0.8e6]
@@ -24,9 +25,7 @@ POWERS_W = [0.45e6, 0.6e6, 0.8e6]
 
 @pytest.fixture(scope="module")
 def library() -> Library:
-    _, v = closed_loop(STAR, POWERS_W)
-    tables = {f"t{k}": table_of(p, abs(v[k])) for k, p in enumerate(POWERS_W)}
-    return Library(tables.__getitem__)
+    return library_of(STAR, POWERS_W)
 
 
 def damped(library, **keys):

@@ -14,7 +14,7 @@ from seqsweep.tuning.farm.system import System
 from seqsweep.tuning.farm.tree import reduced, tree_of
 
 from ..support.farm_oracle import Star, closed_loop
-from .test_farm import document, table_of
+from ..support.farms import document, table_of
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.004 + 0.085j)
 POWERS_W = [0.45e6, 0.6e6, 0.8e6]

@@ -13,8 +13,8 @@ from seqsweep.tuning.farm.result import states_json, states_text
 from seqsweep.tuning.farm.states import State, farm_in, judge_states, states_of
 from seqsweep.tuning.farm.units import Library
 
-from ..support.farm_oracle import Star, closed_loop
-from .test_farm import document, table_of
+from ..support.farm_oracle import Star
+from ..support.farms import document, library_of
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.004 + 0.085j)
 POWERS_W = [0.45e6, 0.6e6, 0.8e6]
@@ -22,9 +22,7 @@ POWERS_W = [0.45e6, 0.6e6, 0.8e6]
 
 @pytest.fixture(scope="module")
 def library() -> Library:
-    _, v = closed_loop(STAR, POWERS_W)
-    tables = {f"t{k}": table_of(p, abs(v[k])) for k, p in enumerate(POWERS_W)}
-    return Library(tables.__getitem__)
+    return library_of(STAR, POWERS_W)
 
 
 def with_states(*states: dict) -> dict:

@@ -21,8 +21,8 @@ from seqsweep.tuning.poles import closed_loop_poles
 from seqsweep.tuning.siso import SeriesRL
 
 from ..support import inverter_oracle, oracle
+from ..support.farms import F_HZ, RATED, table_of
 from ..support.tree_oracle import Branch, Device, poles
-from .test_farm import F_HZ, RATED, table_of
 
 Y_SHUNT = 1.0 / (oracle.TABLE_I.r_f_ohm + 1.0 / (100j * np.pi * oracle.TABLE_I.c_f_f))
 
