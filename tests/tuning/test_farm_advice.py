@@ -17,7 +17,7 @@ from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import judged
 from seqsweep.tuning.farm.levers import GainLever, PowerLever, check_power_lever
 from seqsweep.tuning.farm.margin import crossing_at_source, margin_at_source
-from seqsweep.tuning.farm.restore import Damping, SourceMargin, advise
+from seqsweep.tuning.farm.restore import Damping, SourceMargin, advise, demanded
 from seqsweep.tuning.farm.system import System
 from seqsweep.tuning.farm.units import Library
 
@@ -224,3 +224,13 @@ def test_choices_are_those_of_a_slow_search(seed):
     allowed = on_line[np.all(np.minimum(on_line, most) @ a.T <= b + 1e-12, axis=1)]
     if len(allowed):
         assert same.max() == pytest.approx(min(allowed[0, 0], most.max()), abs=1e-3)
+
+
+@pytest.mark.parametrize("k", [1.0, 2.0, 2.4])
+def test_the_farm_s_mode_is_held_to_the_demand_near_a_device_s_own_too(gains, k):
+    """The more gain, the less the network moves the mode, and the nearer it comes to the devices' own poles."""
+    farm = GainLever(gains.base, swept).changed(np.full(3, k))
+    exact = truth(np.full(3, k))
+    assert min(abs(mode.pole - exact) for mode in demanded(farm)) < 1e-2
+    needed = Damping(_damping(exact) + 0.01, 0.95)
+    assert needed.excess(farm) > 0.0

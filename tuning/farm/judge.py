@@ -23,7 +23,7 @@ from .system import System
 DECIDED = 0.99
 """Probability from which on a verdict is given."""
 
-BESIDE = 0.3
+BESIDE = 0.1
 """A stable mode nearer to a device's own pole than this part of its width is told last."""
 
 MODES = 8
@@ -47,7 +47,9 @@ class FarmVerdict:
     n_unstable_poles : int
         Unstable modes by the pencil, inside the band.
     modes : tuple of ModeParts
-        In-band oscillating modes, least damped first, unstable ones before all.
+        In-band oscillating modes, least damped first, unstable ones before all; at most `MODES`.
+    in_band : (m,) complex
+        All of them (rad/s, dq), told or not.
     turns_hz : (n,) float
         |f - f1| from zero on where the determinant was looked at (Hz).
     turns : (n,) float
@@ -60,6 +62,7 @@ class FarmVerdict:
     n_unstable_locus: int | None
     n_unstable_poles: int
     modes: tuple[ModeParts, ...]
+    in_band: np.ndarray
     turns_hz: np.ndarray
     turns: np.ndarray
 
@@ -76,9 +79,10 @@ def judge_farm(system: System) -> FarmVerdict:
     by_poles = int(np.sum(believed.real > 0.0))
     locus = follow(system, poles)
     by_locus = _count(system, locus)
-    modes = tuple(parts_of(system, pole) for pole in _told(system, believed))
+    in_band = _in_band(system, believed)
+    modes = tuple(parts_of(system, pole) for pole in _told(system, in_band))
     verdict, reason, probability = _decided(system, by_locus, by_poles, modes)
-    return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, locus.nu_hz, locus.turns)
+    return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, in_band, locus.nu_hz, locus.turns)
 
 
 def _count(system: System, locus: Followed) -> int | None:
@@ -88,17 +92,21 @@ def _count(system: System, locus: Followed) -> int | None:
     return sum(unit.count * (unit.n_unstable or 0) for unit in system.units) - round(2.0 * locus.total)
 
 
-def _told(system: System, poles: np.ndarray) -> list[complex]:
-    """In-band modes with a peak, and every unstable one, least damped first.
-
-    Where they are too many, stable ones beside a device's own pole give way: those are hardly moved by the network, and
-    as many as there are devices, such as those of the damping control's notches.
-    """
+def _in_band(system: System, poles: np.ndarray) -> np.ndarray:
+    """In-band modes (m,) with a peak, and every unstable one, least damped first."""
     upper = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi * EDGE * system.end_hz)]
     damping = -upper.real / np.abs(upper)
     oscillates = (upper.imag > 2.0 * np.pi * RESONANCE_FROM_HZ) & (damping < RESONANCE_DAMPING)
     chosen = upper[oscillates | (upper.real > 0.0)]
-    chosen = chosen[np.lexsort((-chosen.real / np.abs(chosen), chosen.real <= 0.0))]
+    return np.asarray(chosen[np.lexsort((-chosen.real / np.abs(chosen), chosen.real <= 0.0))])
+
+
+def _told(system: System, chosen: np.ndarray) -> list[complex]:
+    """The modes that are told.
+
+    Where they are too many, stable ones beside a device's own pole give way: those are hardly moved by the network, and
+    as many as there are devices, such as those of the damping control's notches.
+    """
     own = np.concatenate([unit.model.poles for unit in system.units])
     apart = np.min(np.abs(chosen[:, None] - own) / np.maximum(np.abs(own.real), 1e-300), axis=1, initial=np.inf)
     beside = (apart < BESIDE) & (chosen.real <= 0.0)

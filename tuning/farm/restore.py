@@ -19,7 +19,7 @@ from .choices import WAYS, Choose
 from .farm import Farm
 from .levers import Lever
 from .margin import margin_at_source
-from .participation import ModeParts
+from .participation import ModeParts, parts_of
 
 DAMPED_BAND = 1.2
 """Up to which multiple of f1 modes need damping, as |f - f1|: the sub- and super-synchronous ones."""
@@ -30,7 +30,7 @@ ROUNDS = 8
 ENOUGH = 0.01
 """What may be left over of the movement that was asked, as a part of it."""
 
-MOVED = 0.5
+MOVED = 0.1
 """A stable mode that no device moves by more than this part of its real part is a device's own, such as its notch's."""
 
 _STEP_MOST = 0.5  # of the most that one round changes, so that a straight line is not believed too far
@@ -210,11 +210,10 @@ def advise(lever: Lever, demand: Demand | None, say: Callable[[str], None] = lam
 
 
 def demanded(farm: Farm) -> tuple[ModeParts, ...]:
-    """The modes that devices and network make together; a device's own would be the same on every network."""
+    """The modes that devices and network make together, told or not; a device's own is the same on every network."""
+    parts = (parts_of(farm.system, complex(pole)) for pole in farm.judgement.in_band)
     return tuple(
-        mode
-        for mode in farm.judgement.modes
-        if mode.pole.real > 0.0 or np.abs(mode.devices).sum() > MOVED * abs(mode.pole.real)
+        mode for mode in parts if mode.pole.real > 0.0 or np.abs(mode.devices).sum() > MOVED * abs(mode.pole.real)
     )
 
 
