@@ -37,8 +37,9 @@ def _draw_modes(axes: Axes, farm: Farm) -> None:
         f_hz = poles.imag / (2.0 * np.pi)
         axes.errorbar(poles.real, f_hz, xerr=errors, fmt="none", ecolor=QUIET, linewidth=0.8)
         stable = poles.real <= 0.0
-        axes.plot(poles.real[stable], f_hz[stable], "x", color=DEVICE, label="damped")
-        axes.plot(poles.real[~stable], f_hz[~stable], "x", color=WARNING, label="growing")
+        for chosen, colour, label in ((stable, DEVICE, "damped"), (~stable, WARNING, "growing")):
+            if np.any(chosen):
+                axes.plot(poles.real[chosen], f_hz[chosen], "x", color=colour, label=label)
         axes.legend(loc="best", frameon=False)
     axes.set_xlabel("Real part (1/s)")
     axes.set_ylabel(r"Frequency $|f - f_1|$ (Hz)")

@@ -13,6 +13,7 @@ import numpy as np
 from ...identify.files import write_json as write_whole
 from ...tuning.layout import wrapped
 from .farm_runs import FarmRun, FarmVerification
+from .reading import grows_at_the_end
 from .report import columns_of, plain
 
 FORMAT, VERSION = "seqsweep-farm-verification", "1.0.0"
@@ -155,7 +156,10 @@ def _outcome(run: FarmRun, k: int) -> str:
     lost = run.trajectory.devices[k].lost_s
     if lost is not None:
         return f"lost {lost:.2f} s"
-    calm = run.devices[k].calm_s
+    device = run.devices[k]
+    calm = device.calm_s
+    if calm is not None and grows_at_the_end(device.rate_per_s, device.last_ratio):
+        return "grows"
     return "resonates" if calm is None else "calm" if calm == 0.0 else f"calm {calm:.2f} s"
 
 

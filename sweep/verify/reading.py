@@ -11,6 +11,7 @@ import numpy as np
 from ...plant.damping.estimator import SAMPLE_S, WINDOW_S
 from ...plant.damping.events import Trajectory
 
+_GROWS = 0.1  # 1/s; a slope of ln A_r that is more than what the reading of a steady oscillation wavers by
 _FAINT = 2e-3
 _LARGE = 0.5
 """Rates are read where r lies between these: below the estimate is noise, above nothing is linear."""
@@ -80,16 +81,20 @@ def report(trajectory: Trajectory, events: Sequence[Happening], threshold: float
     """Read one trajectory; nothing counts after synchronism is lost."""
     t, ratio = trajectory.decision_s, trajectory.ratio
     seen = t <= _end_s(trajectory)
+    known = ratio[seen & np.isfinite(ratio)]
+    last_ratio = float(known[-1]) if len(known) else float("nan")
+    rate_per_s = _rate_per_s(trajectory, events)
+    grows = grows_at_the_end(rate_per_s, last_ratio)
     above = t[seen & (ratio > threshold)]
     above_s = float(above[0]) if len(above) else None
     calm_s = _calm_s(t, ratio, threshold) if trajectory.lost_s is None else None
     return RunReport(
-        outcome=_outcome(trajectory, above_s, calm_s),
+        outcome=_outcome(trajectory, above_s, calm_s, grows),
         largest_ratio=float(np.nanmax(ratio[seen], initial=0.0)),
-        last_ratio=float(ratio[seen & np.isfinite(ratio)][-1]) if np.any(seen & np.isfinite(ratio)) else float("nan"),
+        last_ratio=last_ratio,
         above_s=above_s,
         calm_s=calm_s,
-        rate_per_s=_rate_per_s(trajectory, events),
+        rate_per_s=rate_per_s,
         started_s=trajectory.started_s,
         stopped_s=trajectory.stopped_s,
         lost_s=trajectory.lost_s,
@@ -109,11 +114,18 @@ def _calm_s(t: np.ndarray, ratio: np.ndarray, threshold: float) -> float | None:
     return None if restless[-1] + 1 == len(t) else float(t[restless[-1] + 1])
 
 
-def _outcome(trajectory: Trajectory, above_s: float | None, calm_s: float | None) -> str:
+def grows_at_the_end(rate_per_s: float | None, last_ratio: float) -> bool:
+    """Whether a resonance that can be seen grows when the run ends, be it below the threshold or not."""
+    return rate_per_s is not None and rate_per_s > _GROWS and last_ratio > _FAINT
+
+
+def _outcome(trajectory: Trajectory, above_s: float | None, calm_s: float | None, grows: bool) -> str:
     if trajectory.lost_s is not None:
         return f"synchronism lost at {trajectory.lost_s:.2f} s"
     if calm_s is None:
         return "still resonating at the end"
+    if grows:
+        return "below the threshold, and growing"
     return "no resonance above the threshold" if above_s is None else f"calm from {calm_s:.2f} s on"
 
 

@@ -94,6 +94,14 @@ def test_without_it_synchronism_is_lost_and_with_it_the_resonance_dies(result):
     assert damped.last_ratio < 1e-3
 
 
+def test_a_resonance_that_grows_below_the_threshold_is_not_called_calm(weak):
+    """A step so small that r stays below 3 % for the whole run, on a grid on which the turbine is unstable."""
+    without, _ = verify(weak, Story(scale=0.9985, duration_s=0.7)).reports
+    assert without.above_s is None
+    assert without.rate_per_s > 1.0
+    assert without.outcome == "below the threshold, and growing"
+
+
 def test_rates_are_those_of_linear_theory(result):
     """+3.3 and -8.4 rad/s; without damping the amplitudes are no longer small."""
     without, damped = result.reports
