@@ -324,11 +324,13 @@ def test_progress_in_a_notebook_is_one_line_that_changes(monkeypatch):
     monkeypatch.setattr(progress, "REDRAWN_S", 0.0)
     with progress.progress() as shown:
         shown.report(0, 10, 0.0)
+        shown.report(2, 10, 0.2)
         shown.report(5, 10, 0.5)
         shown.say("p0: at shot 3 of 8")
     assert texts[0] == "0/10 points"
-    assert texts[1].startswith("5/10 points, about 0.0 s left")
-    assert texts[2] == "p0: at shot 3 of 8"
+    assert texts[1] == "2/10 points"
+    assert texts[2].startswith("5/10 points, about 0.0 s left")
+    assert texts[3] == "p0: at shot 3 of 8"
     assert texts[-1] == ""
 
 
