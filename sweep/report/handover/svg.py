@@ -75,8 +75,10 @@ def drawn(
 
 def svg_of(figure: Figure, name: str) -> str:
     """The figure as an SVG element, its identifiers made unique by ``name`` so that several stand in one page."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     file = io.StringIO()
-    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    FigureCanvasSVG(figure).print_svg(file, metadata={"Date": None, "Creator": None})  # savefig draws twice
     text = file.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
