@@ -8,12 +8,13 @@ the last sweep of one side and the first of the other nothing is known, and noth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from .certainty import certainty, relative_error
+from .partitions import evidence_of
 from .sparse_rational import Data, Fitted, choose_shapes, fit_shape, predict
 
 FEATURES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
@@ -39,7 +40,11 @@ APART = 2.0
 DECIDING = 6
 """Frequencies that decide."""
 
-_TRIED = 3  # partitions that are fitted as a whole, of those that a linear model likes best
+EVIDENCE = 6.0
+"""Twice the log-likelihood ratio from which on a split is looked at: the odds are twenty to one."""
+
+_TRIED = 2  # splits that are fitted with the rational model, of those that Gaussian processes like best
+_RIVALRY = 12.0  # by how much less evidence another split may have and still be tried
 _MOVES = 3  # rounds of moving sweeps to the side that explains them
 _EXPLAINS = 0.2  # a sweep moves where the other side misses it by less than this part of its own side's error
 
@@ -151,12 +156,13 @@ def find_border(points: np.ndarray, data: Data, region: np.ndarray, noise: np.nd
         Relative variance of the rows.
     """
     few = _thinned(data, noise)
-    if len(points) < 2 * least_side(data.x.shape[1]):
+    partitions = _partitions(points, few)
+    if not partitions:
         return None
     whole = fit_shape(few.data, choose_shapes(few.data, region)[0]).score
     if whole < max(WORTH, GAIN * few.noise):
         return None
-    found = [s for part in _partitions(points, few.data) if (s := _settled(points, few, part, region)) is not None]
+    found = [s for part in partitions if (s := _settled(points, few, part, region)) is not None]
     better = [s for s in found if s.score * GAIN <= whole or s.score <= 3.0 * few.noise]
     best = min(better, key=lambda s: s.score, default=None)
     return None if best is None or not _differ(points, few, best) else best.border
@@ -190,30 +196,27 @@ def _side_of(data: Data, mask: np.ndarray) -> Data:
     return Data(data.x[mask], data.y[:, mask], data.weight[:, mask])
 
 
-def _partitions(points: np.ndarray, data: Data) -> list[np.ndarray]:
-    """Splits (m,) bool at one value of a feature, those first that two linear models describe best."""
-    least = least_side(data.x.shape[1])
-    found = {side.tobytes(): side for side in _splits(points, least)}
-    ranked = sorted(found.values(), key=lambda side: _linear(data, side) + _linear(data, ~side))
-    return ranked[:_TRIED]
+def _partitions(points: np.ndarray, few: _Few) -> list[np.ndarray]:
+    """Splits (m,) bool at one value of a feature, those first that speak most clearly for two devices."""
+    splits = _splits(points, least_side(few.data.x.shape[1]))
+    if len(splits) == 0:
+        return []
+    evidence = evidence_of(few.data, few.variance, splits)
+    likely = evidence >= max(EVIDENCE, evidence.max() - _RIVALRY)
+    ranked = np.argsort(-evidence, kind="stable")[:_TRIED]
+    return [splits[k] for k in ranked if likely[k]]
 
 
-def _splits(points: np.ndarray, least: int) -> Iterator[np.ndarray]:
+def _splits(points: np.ndarray, least: int) -> np.ndarray:
+    """(n, m) bool: sweeps above each value of each feature, where both sides hold ``least`` sweeps or more."""
+    found: dict[bytes, np.ndarray] = {}
     for value_of, _ in FEATURES.values():
         value = value_of(points)
         for at in np.unique(value)[1:]:
             side = value >= at - 1e-12
             if least <= side.sum() <= len(side) - least:
-                yield side
-
-
-def _linear(data: Data, mask: np.ndarray) -> float:
-    """Squares that a linear function of the coordinates leaves, relative to ||Y||."""
-    side = _side_of(data, mask)
-    columns = np.column_stack([np.ones(len(side.x)), side.x])
-    target = (side.y * side.weight[..., None]).transpose(1, 0, 2).reshape(len(side.x), -1)
-    left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-    return float(np.sum(np.abs(left) ** 2))
+                found.setdefault((side if side[0] else ~side).tobytes(), side)
+    return np.array(list(found.values()))
 
 
 def _settled(points: np.ndarray, few: _Few, side: np.ndarray, region: np.ndarray) -> _Split | None:
