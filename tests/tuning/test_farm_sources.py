@@ -9,6 +9,7 @@ from seqsweep.identify.frames import dq_to_pn
 from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.entries import FarmError
 from seqsweep.tuning.farm.farm import admittance_at_source, judged
+from seqsweep.tuning.farm.pairs import to_dq
 from seqsweep.tuning.farm.sources import judge_sources, with_source
 from seqsweep.tuning.farm.system import System
 from seqsweep.tuning.farm.tree import reduced, tree_of
@@ -31,7 +32,7 @@ def test_the_tree_shows_the_source_what_the_whole_network_does(farm):
     tree = tree_of(farm.entry.network, "pcc", farm.entry.network.branches[-1], 100.0 * np.pi)
     f = np.array([12.0, 49.0, 77.0, 430.0])
     s = 2j * np.pi * (f - 50.0)
-    found = dq_to_pn(reduced(tree, s, farm.system.by_bus(s)).y)
+    found = dq_to_pn(to_dq(reduced(tree, s, farm.system.by_bus(s)).y))
     np.testing.assert_allclose(found, admittance_at_source(farm, f), rtol=1e-9)
 
 

@@ -47,7 +47,8 @@ class FarmVerdict:
     n_unstable_poles : int
         Unstable modes by the pencil, inside the band.
     modes : tuple of ModeParts
-        In-band oscillating modes, least damped first, unstable ones before all; at most `MODES`.
+        In-band oscillating modes, least damped first, unstable ones before all; at most `MODES`, the one with the
+        largest real part always among them.
     in_band : (m,) complex
         All of them (rad/s, dq), told or not.
     turns_hz : (n,) float
@@ -68,7 +69,7 @@ class FarmVerdict:
 
     @property
     def critical(self) -> ModeParts | None:
-        """The mode with the largest real part among those told; None if there is none."""
+        """The mode with the largest real part; None if there is none."""
         return max(self.modes, key=lambda mode: mode.pole.real, default=None)
 
 
@@ -105,12 +106,14 @@ def _told(system: System, chosen: np.ndarray) -> list[complex]:
     """The modes that are told.
 
     Where they are too many, stable ones beside a device's own pole give way: those are hardly moved by the network, and
-    as many as there are devices, such as those of the damping control's notches.
+    as many as there are devices, such as those of the damping control's notches. The mode with the largest real part is
+    told always: resonances of many cables have a smaller damping ratio, but die out sooner.
     """
     own = np.concatenate([unit.model.poles for unit in system.units])
     apart = np.min(np.abs(chosen[:, None] - own) / np.maximum(np.abs(own.real), 1e-300), axis=1, initial=np.inf)
     beside = (apart < BESIDE) & (chosen.real <= 0.0)
-    kept = np.sort(np.argsort(beside, kind="stable")[:MODES])
+    slowest = np.arange(len(chosen)) == np.argmax(chosen.real) if len(chosen) else beside
+    kept = np.sort(np.lexsort((beside, ~slowest))[:MODES])
     return [complex(pole) for pole in chosen[kept]]
 
 

@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ..winding import about
+from .pairs import Pair, eigenvalues, inverse, product
 from .system import PASSED_RAD_S, System
 
 MAX_STEP_DEG = 40.0
 """A step is halved until no eigenvalue of the ratio turns further than this."""
 
 _MOST = 20000
+_CLOSE = 0.25  # of its width: places nearer than that to one that is looked at tell nothing more
 _AT_ONCE = 256  # matrices evaluated together, so that memory stays flat
 
 
@@ -48,6 +50,17 @@ class Followed(NamedTuple):
         return float(self.turns[-1]) + self.closing
 
 
+class Chain(NamedTuple):
+    """A product of determinants: its matrices at |f - f1| (n,), the matrices of a step, and their signed angles (n, k).
+
+    Angles of the determinants below the line are negative.
+    """
+
+    at: Callable[[np.ndarray], np.ndarray]
+    ratio: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    angles: Callable[[np.ndarray], np.ndarray]
+
+
 def follow(system: System, poles: np.ndarray) -> Followed:
     """Follow the determinant; closed-loop ``poles`` and all other modes tell where to look first.
 
@@ -55,28 +68,41 @@ def follow(system: System, poles: np.ndarray) -> Followed:
     """
     nu = _seeds(system, poles)
     if system.tree is not None:
-        found = _followed(lambda at: system.tree_factors(at), nu)
+        found = _followed(Chain(system.tree_factors, _tree_ratio, _tree_angles), nu)
         if found.trusted:
             return found
-    return _followed(lambda at: system.loop(at)[:, None, None], nu)
+    return _followed(Chain(system.loop, np.linalg.solve, lambda m: np.angle(np.linalg.eigvals(m))), nu)
 
 
-def _followed(matrices_at: Callable[[np.ndarray], np.ndarray], nu: np.ndarray) -> Followed:
-    """Follow a product of determinants (n, 1 or 2, k, m, m) over one of others, refined until no step is wide."""
-    matrices = _evaluated(matrices_at, nu)
-    turned, widest = _steps(matrices)
+def _tree_ratio(here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    step = product(inverse(Pair(*np.moveaxis(here[..., :4], -1, 0))), Pair(*np.moveaxis(there[..., :4], -1, 0)))
+    alone = there[..., 4:] / here[..., 4:]
+    return np.stack([*step, alone[..., 0], alone[..., 1]], -1)
+
+
+def _tree_angles(matrices: np.ndarray) -> np.ndarray:
+    first, second = eigenvalues(Pair(*np.moveaxis(matrices[..., :4], -1, 0)))
+    signed = [np.angle(first), np.angle(second), -np.angle(matrices[..., 4]), -np.angle(matrices[..., 5])]
+    return np.concatenate(signed, axis=1)
+
+
+def _followed(chain: Chain, nu: np.ndarray) -> Followed:
+    """Follow a product of determinants, refined until no step is wide."""
+    matrices = _evaluated(chain.at, nu)
+    turned, widest = _steps_between(chain, matrices[:-1], matrices[1:])
     while True:
         wide = np.flatnonzero((widest > np.radians(MAX_STEP_DEG)) & (np.diff(nu) > 1e-10 * np.maximum(1.0, nu[1:])))
         if len(wide) == 0 or len(nu) + len(wide) > _MOST:
             break
         middle = (nu[wide] + nu[wide + 1]) / 2.0
-        between = _evaluated(matrices_at, middle)
-        before, after = _steps_between(matrices[wide], between), _steps_between(between, matrices[wide + 1])
+        between = _evaluated(chain.at, middle)
+        before = _steps_between(chain, matrices[wide], between)
+        after = _steps_between(chain, between, matrices[wide + 1])
         turned, widest = (_split(old, wide, *new) for old, *new in zip((turned, widest), before, after, strict=True))
         matrices = np.insert(matrices, wide + 1, between, axis=0)
         nu = np.insert(nu, wide + 1, middle)
     turns = np.concatenate([[0.0], np.cumsum(turned)]) / (2.0 * np.pi)
-    closing = -float(_signed(np.angle(np.linalg.eigvals(matrices[-1:])))[0])
+    closing = -float(chain.angles(matrices[-1:]).sum())
     trusted = bool(widest.max(initial=0.0) <= np.radians(MAX_STEP_DEG))
     return Followed(nu, turns, closing / (2.0 * np.pi), trusted)
 
@@ -89,15 +115,24 @@ def _split(old: np.ndarray, at: np.ndarray, before: np.ndarray, after: np.ndarra
 
 
 def _seeds(system: System, poles: np.ndarray) -> np.ndarray:
-    own = np.concatenate([unit.model.poles for unit in system.units])
-    rows = np.concatenate([unit.model.nu_hz for unit in system.units])
-    near_f1 = system.f1_hz * np.array([0.98, 1.0, 1.02])
+    models = {id(unit.model): unit.model for unit in system.units}.values()
+    modes = np.concatenate([poles, system.network_modes, *(model.poles for model in models)])
     past = system.axis_rad_s[:, None] + PASSED_RAD_S * np.cos(np.linspace(0.0, np.pi, 13))
-    seeds = np.concatenate(
-        [past.ravel() / (2.0 * np.pi), about(poles), about(own), about(system.network_modes), rows, near_f1]
-    )
+    near_f1 = system.f1_hz * np.array([0.98, 1.0, 1.02])
+    fixed = [past.ravel() / (2.0 * np.pi), near_f1, *(model.nu_hz for model in models)]
+    seeds = np.concatenate([*fixed, _thinned(about(modes), np.repeat(np.abs(modes.real), 7) / (2.0 * np.pi))])
     inside = seeds[(seeds > 0.0) & (seeds < system.end_hz)]
     return np.unique(np.concatenate([[0.0, system.end_hz], inside]))
+
+
+def _thinned(nu_hz: np.ndarray, width_hz: np.ndarray) -> np.ndarray:
+    """Places without those that have a kept one within `_CLOSE` of their width, on a grid of powers of two of it.
+
+    Many devices have as many modes in one place; looked at once, they are seen as well.
+    """
+    cell = 2.0 ** np.floor(np.log2(np.maximum(_CLOSE * width_hz, 1e-9)))
+    _, first = np.unique(np.stack([cell, np.round(nu_hz / cell)]), axis=1, return_index=True)
+    return np.asarray(nu_hz[first])
 
 
 def _evaluated(matrices_at: Callable[[np.ndarray], np.ndarray], nu_hz: np.ndarray) -> np.ndarray:
@@ -105,17 +140,9 @@ def _evaluated(matrices_at: Callable[[np.ndarray], np.ndarray], nu_hz: np.ndarra
     return np.concatenate(parts)
 
 
-def _steps(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _steps_between(matrices[:-1], matrices[1:])
-
-
-def _steps_between(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _steps_between(chain: Chain, here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angle (n,) that every step turns the product by, and the widest of its eigenvalues' angles."""
-    angles = np.angle(np.linalg.eigvals(np.linalg.solve(here, there)))
-    return _signed(angles), np.abs(angles).max(axis=(1, 2, 3))
-
-
-def _signed(angles: np.ndarray) -> np.ndarray:
-    """(n,) sums of angles (n, 1 or 2, k, m): those of the first product less those of the second."""
-    sums = angles.sum(axis=(2, 3))
-    return np.asarray(sums[:, 0] - sums[:, 1] if sums.shape[1] > 1 else sums[:, 0])
+    if len(here) == 0:
+        return np.zeros(0), np.zeros(0)
+    angles = chain.angles(chain.ratio(here, there))
+    return angles.sum(axis=1), np.abs(angles).max(axis=1)

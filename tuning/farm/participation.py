@@ -2,11 +2,12 @@
 
 At a closed-loop pole the nodal matrix M = Y + Z^-1 of the ports has null vectors, l M = 0 and M r = 0. With D = l M' r
 the pole moves by -l dM r / D when M changes by dM: a device's admittance, a conductance at a bus, a branch's impedance.
+They come from the sparse matrix K = s E - A - B Y C of the whole network, w K = 0 and K x = 0, by l = w B and r = C x.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from ..network.assembly import branch_slopes
 from .system import System
 from .units import Unit
 
-_STEP = 1e-6  # relative step of the differences; their error is of its square
+_ITERATIONS = 3  # of the inverse iteration; at a pole known to nine digits two would do
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,33 +59,56 @@ class ModeParts:
 
 def parts_of(system: System, pole: complex) -> ModeParts:
     """Participation of every device, port and branch in one closed-loop pole, and the pole's covariance."""
-    left, right, slope = shape = null_vectors(system, pole)
+    shape = null_vectors(system, pole)
+    left, right, slope = shape.left, shape.right, shape.slope
     devices = moved_by(system, shape, [own_admittance(unit, pole) for unit in system.units])
     buses = [-left[2 * k : 2 * k + 2] @ right[2 * k : 2 * k + 2] / slope for k in range(len(system.ports))]
     return ModeParts(
         pole=pole,
         devices=devices,
         buses=np.array(buses),
-        branches=_branches(system, pole, left, right, slope),
+        branches=_branches(system, pole, shape),
         covariance=_covariance(system, pole, shape),
     )
 
 
 class Shape(NamedTuple):
-    """Null vectors of the nodal matrix at a pole, l M = 0 and M r = 0, and l M' r."""
+    """Null vectors at a pole.
+
+    Attributes
+    ----------
+    left, right : (2p,) complex
+        Of the nodal matrix of the ports, l M = 0 and M r = 0.
+    slope : complex
+        l M' r.
+    adjoint, direct : (2n,) complex
+        Of the matrix of all unknowns of the network.
+    """
 
     left: np.ndarray
     right: np.ndarray
     slope: complex
+    adjoint: np.ndarray
+    direct: np.ndarray
 
 
 def null_vectors(system: System, pole: complex) -> Shape:
-    """The shape of a closed-loop pole; M' by a difference in the complex plane."""
-    u, _, vh = np.linalg.svd(_nodal(system, np.array([pole]))[0])
-    left, right = u[:, -1].conj(), vh[-1].conj()
-    h = _STEP * abs(pole)
-    ahead, behind = _nodal(system, np.array([pole + h, pole - h]))
-    return Shape(left, right, complex(left @ ((ahead - behind) / (2.0 * h)) @ right))
+    """The shape of a closed-loop pole, by inverse iteration; l M' r = -w K' x."""
+    from scipy.sparse.linalg import splu
+
+    matrix, slope = system.closed(pole)
+    solved = splu(matrix)
+    direct = _iterated(solved.solve, np.exp(1j * np.arange(matrix.shape[0])))
+    adjoint = _iterated(lambda x: solved.solve(x, "T"), np.conj(slope @ direct))
+    behind = system.descriptor
+    return Shape(adjoint @ behind.b, behind.c @ direct, complex(-adjoint @ (slope @ direct)), adjoint, direct)
+
+
+def _iterated(solve: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> np.ndarray:
+    x = start
+    for _ in range(_ITERATIONS):
+        x = solve(x / np.linalg.norm(x))
+    return x / np.linalg.norm(x)
 
 
 def moved_by(system: System, shape: Shape, change: Sequence[np.ndarray]) -> np.ndarray:
@@ -99,24 +123,18 @@ def own_admittance(unit: Unit, s: complex) -> np.ndarray:
     return unit.factor * (unit.turn @ evaluate(unit.model, np.array([s]))[0] @ unit.turn.T)
 
 
-def _nodal(system: System, s: np.ndarray) -> np.ndarray:
-    return system.admittance(s) + np.linalg.inv(system.impedance(s))
+def _branches(system: System, pole: complex, shape: Shape) -> np.ndarray:
+    """d(pole)/d(ln z) of every branch, -w dK x / (w K' x) by a relative change of its impedance.
 
-
-def _branches(system: System, pole: complex, left: np.ndarray, right: np.ndarray, slope: complex) -> np.ndarray:
-    """d(pole)/d(ln z) of every branch: dM = -Z^-1 dZ Z^-1 by a relative change of its impedance.
-
-    Z is one scalar of the phase frame at s + j w1 for v_d + j v_q and at s - j w1 for v_d - j v_q, so that
-    l dZ r = (l_d - j l_q) dZ1 (r_d + j r_q) / 2 + (l_d + j l_q) dZ2 (r_d - j r_q) / 2.
+    The network is one matrix of the phase frame at s + j w1 for v_d + j v_q and at s - j w1 for v_d - j v_q:
+    w dK x = (w_d - j w_q) dK1 (x_d + j x_q) / 2 + (w_d + j w_q) dK2 (x_d - j x_q) / 2.
     """
-    z_inverse = np.linalg.inv(system.impedance(np.array([pole]))[0])
-    left_z, right_z = left @ z_inverse, z_inverse @ right
     total = np.zeros(len(system.network.branches), dtype=complex)
     for sign in (1.0, -1.0):
-        l_k = left_z[0::2] - sign * 1j * left_z[1::2]
-        r_k = right_z[0::2] + sign * 1j * right_z[1::2]
-        total += branch_slopes(system.network, system.ports, pole + sign * 1j * system.w1_rad_s, l_k, r_k) / 2.0
-    return total / slope
+        adjoint = shape.adjoint[0::2] - sign * 1j * shape.adjoint[1::2]
+        direct = shape.direct[0::2] + sign * 1j * shape.direct[1::2]
+        total += branch_slopes(system.network, pole + sign * 1j * system.w1_rad_s, adjoint, direct) / 2.0
+    return total / shape.slope
 
 
 def table_weights(system: System, pole: complex, shape: Shape) -> dict[str, np.ndarray]:

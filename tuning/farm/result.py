@@ -195,11 +195,18 @@ def text_of(farm: Farm) -> str:
         "",
         f"{judgement.verdict}{chance}: {judgement.reason}",
     ]
-    for mode in judgement.modes[:_SHOWN]:
+    for mode in _shown(farm):
         lines += ["", *_mode_lines(farm, mode)]
     if len(judgement.modes) > _SHOWN:
         lines += ["", f"{len(judgement.modes) - _SHOWN} further modes are in the JSON (-o)."]
     return "\n".join([*lines, *(f"warning: {text}" for text in farm.warnings)])
+
+
+def _shown(farm: Farm) -> list[ModeParts]:
+    """The first modes, the critical one always among them."""
+    first, critical = list(farm.judgement.modes[:_SHOWN]), farm.judgement.critical
+    told = critical is None or any(mode is critical for mode in first)
+    return first if told or critical is None else [critical, *first[:-1]]
 
 
 def as_html(farm: Farm) -> str:

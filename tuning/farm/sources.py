@@ -24,6 +24,7 @@ from ..winding import about
 from .entries import FarmEntry
 from .farm import Farm, judged_with, seen_from_source
 from .judge import DECIDED
+from .pairs import Pair, determinant, diagonal, eigenvalues, inverse, product, to_dq
 from .tree import Tree, reduced, tree_of
 
 _STEP = 1e-6
@@ -32,6 +33,7 @@ _FITTED = 140  # frequencies of the rational model of the whole
 _TRACKED = 4  # modes that are sought on every source
 _POLISH = 3  # steps of Newton's method on the exact farm
 _NEAR = 0.02  # relative distance from the model's mode within which the exact one is expected
+_AT_ONCE = 64  # sources followed together, so that memory stays flat
 _FURTHER = 2.0 ** np.arange(-3, 4)  # band of the locus about each seed, in widths
 
 
@@ -94,11 +96,11 @@ def _tree(entry: FarmEntry) -> Tree:
     return tree_of(entry.network, entry.source_bus, source, 2.0 * np.pi * entry.f1_hz)
 
 
-def _source(entry: FarmEntry, z_ohm: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """(..., 2, 2) R + s L and the turning of it, in dq."""
-    w1 = 2.0 * np.pi * entry.f1_hz
-    own = z_ohm.real + s * z_ohm.imag / w1
-    return own[..., None, None] * np.eye(2) + z_ohm.imag[..., None, None] * np.array([[0.0, -1.0], [1.0, 0.0]])
+def _closed(entry: FarmEntry, y: Pair, z_ohm: np.ndarray, s: np.ndarray) -> Pair:
+    """1 + Y Z, Z = R + s L + j X for v_d + j v_q and R + s L - j X for v_d - j v_q; all of one shape, or broadcast."""
+    own, x = z_ohm.real + s * z_ohm.imag / (2.0 * np.pi * entry.f1_hz), z_ohm.imag
+    one, other = own + 1j * x, own - 1j * x
+    return Pair(1.0 + y.pp * one, y.pn * other, y.np * one, 1.0 + y.nn * other)
 
 
 # The modes -----------------------------------------------------------------------------------------------------------
@@ -136,8 +138,7 @@ def _newton_step(farm: Farm, tree: Tree, z_ohm: np.ndarray, s: np.ndarray) -> np
 
 
 def _determinant(farm: Farm, tree: Tree, z_ohm: np.ndarray, s: np.ndarray) -> np.ndarray:
-    y = reduced(tree, s, farm.system.by_bus(s)).y
-    return np.linalg.det(np.eye(2) + y @ _source(farm.entry, z_ohm, s))
+    return determinant(_closed(farm.entry, reduced(tree, s, farm.system.by_bus(s)).y, z_ohm, s))
 
 
 # The count -----------------------------------------------------------------------------------------------------------
@@ -161,15 +162,24 @@ def _on(farm: Farm, tree: Tree, nu_hz: np.ndarray, z_ohm: np.ndarray) -> np.ndar
     return _turns(farm, reduced(tree, s, farm.system.by_bus(s)).y, s, z_ohm)
 
 
-def _turns(farm: Farm, y: np.ndarray, s: np.ndarray, z_ohm: np.ndarray) -> np.ndarray:
+def _turns(farm: Farm, y: Pair, s: np.ndarray, z_ohm: np.ndarray) -> np.ndarray:
     """(g,) turns of det(1 + Y Z) over the half axis, closed at its end; NaN where a step is too wide to be told."""
-    found = np.empty(len(z_ohm))
-    for k, z in enumerate(z_ohm):
-        m = np.eye(2) + y @ _source(farm.entry, np.full(len(s), z), s)
-        steps = np.angle(np.linalg.eigvals(np.linalg.solve(m[:-1], m[1:])))
-        closing = np.angle(np.linalg.eigvals(m[-1])).sum()
-        found[k] = np.nan if np.abs(steps).max() > 0.9 * np.pi else (steps.sum() - closing) / (2.0 * np.pi)
-    return found
+    found = [_turned(farm, y, s, z_ohm[k : k + _AT_ONCE]) for k in range(0, len(z_ohm), _AT_ONCE)]
+    return np.concatenate([*found, np.empty(0)])
+
+
+def _turned(farm: Farm, y: Pair, s: np.ndarray, z_ohm: np.ndarray) -> np.ndarray:
+    m = _closed(farm.entry, y, z_ohm[:, None], s)
+    here, there = (Pair(*(x[:, part] for x in m)) for part in (slice(None, -1), slice(1, None)))
+    steps = _angles(product(inverse(here), there))
+    closing = _angles(Pair(*(x[:, -1] for x in m))).sum(axis=0)
+    turns = (steps.sum(axis=(0, 2)) - closing) / (2.0 * np.pi)
+    return np.where(np.abs(steps).max(axis=(0, 2)) > 0.9 * np.pi, np.nan, turns)
+
+
+def _angles(m: Pair) -> np.ndarray:
+    """(2, ...) of both eigenvalues."""
+    return np.angle(np.stack(eigenvalues(m)))
 
 
 def _contour(farm: Farm) -> np.ndarray:
@@ -193,16 +203,15 @@ def _errors(farm: Farm, tree: Tree, z_ohm: np.ndarray, poles: np.ndarray) -> np.
         return std
     s, z = s[there], z_ohm[there]
     seen = reduced(tree, s, farm.system.by_bus(s), with_ways=True)
-    behind = _source(farm.entry, z, s)
-    m = np.eye(2) + seen.y @ behind
-    u, _, vh = np.linalg.svd(m)
+    behind = to_dq(_closed(farm.entry, diagonal(*(np.ones(len(s), dtype=complex),) * 2), z, s)) - np.eye(2)
+    u, _, vh = np.linalg.svd(to_dq(_closed(farm.entry, seen.y, z, s)))
     left, right = u[:, :, 1].conj(), (behind @ vh[:, 1].conj()[:, :, None])[:, :, 0]
     slope = np.einsum("ni,nij,nj->n", left, _matrix_slope(farm, tree, z, s), vh[:, 1].conj())
     weights: dict[str, np.ndarray] = {}
     models = {unit.key: unit.model for unit in farm.system.units}
     for unit in farm.system.units:
-        l = np.einsum("ni,nij->nj", left, seen.left[unit.bus]) @ unit.turn  # noqa: E741
-        r = np.einsum("nij,nj->ni", seen.right[unit.bus], right) @ unit.turn
+        l = np.einsum("ni,nij->nj", left, to_dq(seen.left[unit.bus])) @ unit.turn  # noqa: E741
+        r = np.einsum("nij,nj->ni", to_dq(seen.right[unit.bus]), right) @ unit.turn
         weight = -unit.factor * l[:, :, None] * r[:, None, :] / slope[:, None, None]
         weights[unit.key] = weights.get(unit.key, 0.0) + weight
     variance = sum(np.sum(spread(models[key], s, weight).real ** 2, axis=1) for key, weight in weights.items())
@@ -212,11 +221,9 @@ def _errors(farm: Farm, tree: Tree, z_ohm: np.ndarray, poles: np.ndarray) -> np.
 
 def _matrix_slope(farm: Farm, tree: Tree, z_ohm: np.ndarray, s: np.ndarray) -> np.ndarray:
     h = _STEP * np.abs(s)
-    ends = []
-    for sign in (1.0, -1.0):
-        at = s + sign * h
-        ends.append(reduced(tree, at, farm.system.by_bus(at)).y @ _source(farm.entry, z_ohm, at))
-    return (ends[0] - ends[1]) / (2.0 * h)[:, None, None]
+    at = [s + sign * h for sign in (1.0, -1.0)]
+    ahead, behind = (to_dq(_closed(farm.entry, reduced(tree, x, farm.system.by_bus(x)).y, z_ohm, x)) for x in at)
+    return (ahead - behind) / (2.0 * h)[:, None, None]
 
 
 def _rightmost(poles: np.ndarray) -> np.ndarray:

@@ -9,16 +9,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...identify.fit.rational import evaluate
+from ...identify.fit.rational import RationalModel, derivative, evaluate
 from ..network.assembly import GROUND, Network, assemble, port_impedance
 from ..network.descriptor import Descriptor, J, rotating
 from ..poles import states
 from .entries import FarmError
+from .pairs import Pair, from_dq, plus, turned
 from .tree import Tree, factors, tree_of
 from .units import Unit
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 UNDAMPED = 1e-9
 """Network modes with a smaller damping ratio lie on the axis."""
@@ -98,18 +103,40 @@ class System:
             total[:, at, at] += unit.factor * (unit.turn @ of_model[id(unit.model)] @ unit.turn.T)
         return total
 
+    def closed(self, s: complex) -> tuple[csc_array, csc_array]:
+        """K = s E - A - B Y C of network and devices at a complex ``s`` (rad/s), singular at a mode; and dK/ds."""
+        from scipy.sparse import block_diag, csc_array
+
+        behind, at = self._sparse, np.array([s])
+        y, slope = (np.zeros((len(self.ports), 2, 2), dtype=complex) for _ in range(2))
+        values = {id(unit.model): (evaluate(unit.model, at)[0], derivative(unit.model, s)) for unit in self.units}
+        for unit in self.units:
+            own, by_s = values[id(unit.model)]
+            k, turn = self.ports.index(unit.bus), unit.turn
+            y[k] += unit.factor * (turn @ own @ turn.T)
+            slope[k] += unit.factor * (turn @ by_s @ turn.T)
+        e, a, b, c = behind
+        closed = s * e - a - b @ block_diag(list(y), "csc") @ c
+        return csc_array(closed), csc_array(e - b @ block_diag(list(slope), "csc") @ c)
+
+    @cached_property
+    def _sparse(self) -> tuple[csc_array, ...]:
+        from scipy.sparse import csc_array
+
+        return tuple(csc_array(matrix.astype(complex)) for matrix in self.descriptor)
+
     def loop(self, nu_hz: np.ndarray) -> np.ndarray:
         """1 + Y Z (n, 2p, 2p) over all ports on the `contour` for |f - f1| in Hz, inside the band."""
         s = self.contour(nu_hz)
         return np.eye(2 * len(self.ports)) + self.admittance(s) @ self.impedance(s)
 
-    def by_bus(self, s: np.ndarray) -> dict[str, np.ndarray]:
-        """Admittances (n, 2, 2) in S of the units by bus in the common frame, each model evaluated once."""
-        values = {id(unit.model): evaluate(unit.model, s) for unit in self.units}
-        found: dict[str, np.ndarray] = {}
+    def by_bus(self, s: np.ndarray) -> dict[str, Pair]:
+        """Admittances, each of (n,) in S, of the units by bus in the common frame; each model evaluated once."""
+        values = {id(unit.model): from_dq(evaluate(unit.model, s)) for unit in self.units}
+        found: dict[str, Pair] = {}
         for unit in self.units:
-            y = unit.factor * (unit.turn @ values[id(unit.model)] @ unit.turn.T)
-            found[unit.bus] = found[unit.bus] + y if unit.bus in found else y
+            y = turned(values[id(unit.model)], unit.angle_rad, unit.factor)
+            found[unit.bus] = plus(found[unit.bus], y) if unit.bus in found else y
         return found
 
     @cached_property
@@ -122,10 +149,15 @@ class System:
             return None
 
     def tree_factors(self, nu_hz: np.ndarray) -> np.ndarray:
-        """(n, 2, k, 2, 2) on the `contour`: the first product of determinants over the second is det(1 + Y Z)."""
+        """(n, k, 6) on the `contour`: four elements of each 2x2 matrix with the devices, and the two without them.
+
+        The product of the determinants with the devices over that without them is det(1 + Y Z).
+        """
         assert self.tree is not None
         s = self.contour(nu_hz)
-        return np.stack([factors(self.tree, s, devices) for devices in (self.by_bus(s), {})], axis=1)
+        with_devices, without = factors(self.tree, s, self.by_bus(s)), factors(self.tree, s, {})
+        pairs = zip(with_devices, without, strict=True)
+        return np.stack([np.stack([*full, alone.pp, alone.nn], -1) for full, alone in pairs], axis=1)
 
     @cached_property
     def axis_rad_s(self) -> np.ndarray:
@@ -152,11 +184,11 @@ class System:
         Eg xg' = Ag xg + Bg u,  v = Cg xg.
         """
         behind = self.descriptor
-        spaces = [states(unit.model) for unit in self.units]
+        spaces = [_real_states(unit.model) for unit in self.units]
         counts = np.cumsum([0, *(len(a) for a, _, _ in spaces)])
         n, p = int(counts[-1]), 2 * len(self.ports)
         size = n + p + len(behind.a)
-        m, e = np.zeros((size, size), dtype=complex), np.zeros((size, size), dtype=complex)
+        m, e = np.zeros((size, size)), np.zeros((size, size))
         current, network = slice(n, n + p), slice(n + p, None)
         m[current, current], m[network, current] = np.eye(p), behind.b
         m[network, network], e[network, network] = behind.a, behind.e
@@ -164,7 +196,7 @@ class System:
         for unit, (a, b, c), start in zip(self.units, spaces, counts, strict=False):
             state, at, turn = slice(start, start + len(a)), self.place(unit), unit.turn
             rows, seen = slice(n + at.start, n + at.stop), turn.T @ behind.c[at]
-            m[state, state], m[state, network] = np.diag(a), b @ seen
+            m[state, state], m[state, network] = a, b @ seen
             m[rows, state] = -unit.factor * turn @ c
             m[rows, network] -= unit.factor * turn @ unit.model.d @ seen
             e[rows, network] += unit.factor * turn @ unit.model.e @ seen
@@ -183,12 +215,36 @@ def _kron(blocks: np.ndarray, small: np.ndarray) -> np.ndarray:
     return np.einsum("nij,kl->nikjl", blocks, small).reshape(n, 2 * p, 2 * p)
 
 
+def _real_states(model: RationalModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A (n, n), B (n, 2), C (2, n), all real: x' = A x + B u, y = C x, the two states of a pair beside each other."""
+    a, b, c = states(model)
+    real, upper = np.flatnonzero(a.imag == 0.0), np.flatnonzero(a.imag > 0.0)
+    n = len(real) + 2 * len(upper)
+    first = len(real) + 2 * np.arange(len(upper))
+    own, inputs, outputs = np.zeros((n, n)), np.zeros((n, 2)), np.zeros((2, n))
+    own[np.arange(len(real)), np.arange(len(real))] = a[real].real
+    inputs[: len(real)], outputs[:, : len(real)] = b[real].real, c[:, real].real
+    own[first, first] = own[first + 1, first + 1] = a[upper].real
+    own[first, first + 1], own[first + 1, first] = -a[upper].imag, a[upper].imag
+    inputs[first], inputs[first + 1] = b[upper].real, b[upper].imag
+    outputs[:, first], outputs[:, first + 1] = 2.0 * c[:, upper].real, -2.0 * c[:, upper].imag
+    return own, inputs, outputs
+
+
 def _finite_eigenvalues(a: np.ndarray, e: np.ndarray, about: float) -> np.ndarray:
-    """Eigenvalues s of (A, E), inverted about a point in the right half-plane, the infinite ones left out."""
+    """Eigenvalues s of real (A, E), inverted about a point in the right half-plane, the infinite ones left out.
+
+    With M = (A - about E)^-1 E they are about + 1 / eig(M). Unknowns without a derivative are zero columns of E and of
+    M: what is left is as large as the system has states. The pencil of a network is sparse, and so is its inverse's LU.
+    """
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
     size = 1.0 / np.maximum(np.abs(a).max(axis=1), np.abs(e).max(axis=1) * about)[:, None]
-    a, e = a * size, e * size
-    inverse = np.linalg.eigvals(np.linalg.solve(a - about * e, e))
+    dynamic = np.flatnonzero(np.any(e, axis=0))
+    inverted = splu(csc_array((a - about * e) * size)).solve((e * size)[:, dynamic])[dynamic]
+    inverse = np.linalg.eigvals(inverted)
     poles = about + 1.0 / inverse[np.abs(inverse) > 1.0 / _INFINITE]
     real = np.abs(poles.imag) < 1e-9 * np.abs(poles)
     poles[real] = poles[real].real
-    return poles
+    return np.asarray(poles, dtype=complex)

@@ -16,8 +16,10 @@ import numpy as np
 
 from ..network.assembly import GROUND, Branch, Network
 from .entries import FarmError
+from .pairs import Pair, diagonal, inverse, plus, product, scaled
 
-_EYE = np.eye(2)
+Sequences = tuple[np.ndarray, np.ndarray]
+"""Of v_d + j v_q and of v_d - j v_q."""
 
 _SHORT_OHM = 1e-9  # as good as a short circuit: the devices' and the network's own determinant both hold it
 
@@ -58,15 +60,15 @@ class Reduced(NamedTuple):
 
     Attributes
     ----------
-    y : (n, 2, 2) complex
-        Admittance of the whole (S), dq.
-    left, right : mapping of str to (n, 2, 2) complex
+    y : Pair of (n,) complex
+        Admittance of the whole (S).
+    left, right : mapping of str to Pair of (n,) complex
         A change dY at a node is left dY right at the root.
     """
 
-    y: np.ndarray
-    left: Mapping[str, np.ndarray]
-    right: Mapping[str, np.ndarray]
+    y: Pair
+    left: Mapping[str, Pair]
+    right: Mapping[str, Pair]
 
 
 def tree_of(network: Network, root: str, source: Branch | None, w1_rad_s: float) -> Tree:
@@ -102,7 +104,7 @@ def tree_of(network: Network, root: str, source: Branch | None, w1_rad_s: float)
     return Tree(root, tuple(steps), {node: tuple(found) for node, found in shunts.items()}, w1_rad_s)
 
 
-def reduced(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray], with_ways: bool = False) -> Reduced:
+def reduced(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair], with_ways: bool = False) -> Reduced:
     """The tree at complex s (n,) in rad/s, dq.
 
     Parameters
@@ -111,53 +113,63 @@ def reduced(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray], with_w
         The network.
     s : (n,) complex
         Where.
-    devices : mapping of str to (n, 2, 2) complex
+    devices : mapping of str to Pair of (n,) complex
         Admittance (S) of the devices of a node, in the common frame.
     with_ways : bool
         Whether ``left`` and ``right`` are wanted.
     """
     y = _at_nodes(tree, s, devices)
-    ways: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    ways: dict[str, tuple[Pair, Pair]] = {}
     for step in reversed(tree.steps):
-        z = _dq(tree, step.branch, s)
-        behind = y[step.far]
-        seen = np.linalg.inv(z @ behind + step.b**2 * _EYE)
-        y[step.near] = y[step.near] + step.a**2 * (behind @ seen)
+        behind, z = y[step.far], _sequences(tree, step.branch, s, _impedance)
+        seen = inverse(_factor(z, behind, step.b))
+        y[step.near] = plus(y[step.near], scaled(step.a**2, product(behind, seen)))
         if with_ways:
-            back = -step.a * step.b * np.linalg.inv(behind @ z + step.b**2 * _EYE)
-            ways[step.far] = back, -step.a * step.b * seen
-    whole = np.broadcast_to(_EYE.astype(complex), (len(s), 2, 2))
+            back = inverse(_factor_from_left(behind, z, step.b))
+            ways[step.far] = scaled(-step.a * step.b, back), scaled(-step.a * step.b, seen)
+    whole = diagonal(*(np.ones(len(s), dtype=complex),) * 2)
     left, right = {tree.root: whole}, {tree.root: whole}
     for step in tree.steps if with_ways else ():
         back, forth = ways[step.far]
-        left[step.far], right[step.far] = left[step.near] @ back, forth @ right[step.near]
+        left[step.far], right[step.far] = product(left[step.near], back), product(forth, right[step.near])
     return Reduced(y[tree.root], left, right)
 
 
-def factors(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(n, k + 1, 2, 2): z Y + b^2 of every branch, and what stands at the root.
+def factors(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair]) -> list[Pair]:
+    """z Y + b^2 of every branch, and what stands at the root, each of (n,).
 
     The product of their determinants is that of the nodal matrix of the whole, but for a factor of the branches alone.
     """
     y = _at_nodes(tree, s, devices)
     found = []
     for step in reversed(tree.steps):
-        factor = _dq(tree, step.branch, s) @ y[step.far] + step.b**2 * _EYE
-        y[step.near] = y[step.near] + step.a**2 * (y[step.far] @ np.linalg.inv(factor))
+        factor = _factor(_sequences(tree, step.branch, s, _impedance), y[step.far], step.b)
+        y[step.near] = plus(y[step.near], scaled(step.a**2, product(y[step.far], inverse(factor))))
         found.append(factor)
-    return np.stack([*found, y[tree.root]], axis=1)
+    return [*found, y[tree.root]]
 
 
-def _at_nodes(tree: Tree, s: np.ndarray, devices: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _factor(z: Sequences, y: Pair, b: float) -> Pair:
+    """z Y + b^2."""
+    return Pair(z[0] * y.pp + b**2, z[0] * y.pn, z[1] * y.np, z[1] * y.nn + b**2)
+
+
+def _factor_from_left(y: Pair, z: Sequences, b: float) -> Pair:
+    """Y z + b^2."""
+    return Pair(y.pp * z[0] + b**2, y.pn * z[1], y.np * z[0], y.nn * z[1] + b**2)
+
+
+def _at_nodes(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair]) -> dict[str, Pair]:
     """What stands at every node itself: devices and shunts."""
-    nothing = np.zeros((len(s), 2, 2), dtype=complex)
+    nothing = diagonal(*(np.zeros(len(s), dtype=complex),) * 2)
     y = dict.fromkeys((tree.root, *(step.far for step in tree.steps)), nothing)
     for node, found in devices.items():
-        y[node] = y[node] + found
+        y[node] = plus(y[node], found)
     for node, branches in tree.shunts.items():
         for branch in branches:
             if node in y:
-                y[node] = y[node] + branch.ends[node] ** 2 * _dq(tree, branch, s, _admittance)
+                own = diagonal(*_sequences(tree, branch, s, _admittance))
+                y[node] = plus(y[node], scaled(branch.ends[node] ** 2, own))
     return y
 
 
@@ -177,8 +189,6 @@ def _admittance(branch: Branch, s: np.ndarray) -> np.ndarray:
     return np.asarray(s * branch.c_f / (1.0 + s * branch.c_f * z)) if branch.c_f < inf else np.asarray(1.0 / z)
 
 
-def _dq(tree: Tree, branch: Branch, s: np.ndarray, of: Callable[..., np.ndarray] = _impedance) -> np.ndarray:
-    """What a branch is (n, 2, 2) in dq: one scalar of the phase frame at s + j w1 and at s - j w1."""
-    one, other = (of(branch, s + sign * 1j * tree.w1_rad_s) for sign in (1.0, -1.0))
-    own, turned = (one + other) / 2.0, (one - other) / 2j
-    return np.stack([np.stack([own, -turned], -1), np.stack([turned, own], -1)], -2)
+def _sequences(tree: Tree, branch: Branch, s: np.ndarray, of: Callable[[Branch, np.ndarray], np.ndarray]) -> Sequences:
+    """What a branch is for v_d + j v_q and v_d - j v_q: one scalar of the phase frame at s + j w1 and at s - j w1."""
+    return of(branch, s + 1j * tree.w1_rad_s), of(branch, s - 1j * tree.w1_rad_s)

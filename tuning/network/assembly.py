@@ -85,17 +85,12 @@ def port_impedance(network: Network, ports: Sequence[str], s: np.ndarray) -> np.
     return -system.c @ _solved(matrix, right)
 
 
-def branch_slopes(
-    network: Network, ports: Sequence[str], s: complex, left: np.ndarray, right: np.ndarray
-) -> np.ndarray:
-    """left dZ right (b,) for a relative change of the impedance of every branch, Z that of the ports at ``s`` (rad/s).
+def branch_slopes(network: Network, s: complex, adjoint: np.ndarray, direct: np.ndarray) -> np.ndarray:
+    """adjoint dM direct (b,) for a relative change of the impedance of every branch, M = s E - A at ``s`` (rad/s).
 
-    With M = s E - A of the network without distributed lines, dZ = C M^-1 dM M^-1 B: two solutions serve all branches.
+    The unknowns are those of `assemble`; distributed lines are left out.
     """
-    system, at = assemble(network, ports), places_of(network.branches, network.nodes)
-    m = s * system.e - system.a
-    adjoint = np.linalg.solve(m.T, system.c.T @ left)
-    direct = np.linalg.solve(m, system.b @ right)
+    at = places_of(network.branches, network.nodes)
     return np.array([_branch_slope(at, k, branch, s, adjoint, direct) for k, branch in enumerate(network.branches)])
 
 
