@@ -1,12 +1,13 @@
-# Everything runs in .venv, made from constraints.txt. Another interpreter: make test PYTHON=python3.12
+# Everything runs in .venv, made from constraints.lock. Another interpreter: make test PYTHON=python3.12
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 TYPED := build/typed/seqsweep
+EXTRAS := test docs dask fmu exchange excel formats
 
-.PHONY: demo test lint docs evidence bench env clean
+.PHONY: demo test lint docs evidence bench env lock audit clean
 
 demo: $(READY)
 	@mkdir -p build
@@ -42,7 +43,7 @@ bench: $(READY)
 
 env: $(READY)
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml constraints.lock
 	@command -v $(PYTHON) > /dev/null || \
 	  { echo "$(PYTHON) not found: name a Python 3.11 or newer, as in 'make $(MAKECMDGOALS) PYTHON=python3.11'" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -51,8 +52,20 @@ $(READY): pyproject.toml constraints.txt
 	  { echo "$(PYTHON) cannot make environments: run 'apt-get install python3-venv' (as root), then again" >&2; exit 1; }
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,docs,dask,fmu,exchange,excel,formats]' -c constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r constraints.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
+
+# The check sums of all files of the versions in constraints.txt, and the list of what everything stands on.
+lock: constraints.txt pyproject.toml
+	@test -x build/uv/bin/uv || { $(PYTHON) -m venv build/uv && build/uv/bin/pip install --quiet uv==0.13.9; }
+	echo 'setuptools>=77' | build/uv/bin/uv pip compile --quiet --generate-hashes --no-annotate --no-header --no-emit-index-url \
+	  --python-version 3.11 -c constraints.txt $(EXTRAS:%=--extra %) pyproject.toml - -o constraints.lock
+	$(MAKE) $(READY)
+	$(BIN)/python supply/dependencies.py
+
+audit: $(READY)
+	$(BIN)/python supply/audit.py
 
 clean:
 	rm -rf $(VENV) build dist docs/generated docs/gallery docs/notebooks *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis

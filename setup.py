@@ -1,20 +1,24 @@
-"""What a wheel brings along for the shell: manual page and completion scripts, made of the command line itself.
+"""What a wheel brings along: for the shell, manual page and completion scripts, made of the command line itself; and in
+its metadata the bill of materials, what the program stands on (PEP 770; `supply/dependencies.py` makes it).
 
 Everything else about the package stands in pyproject.toml. Where the command line cannot be imported (typer is missing
-from the environment that builds), the wheel is made without them.
+from the environment that builds), the wheel is made without manual page and completion scripts.
 """
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tomllib
 import types
 from pathlib import Path
 
 from setuptools import setup
+from setuptools.command.bdist_wheel import bdist_wheel
 
 TOP = Path(__file__).resolve().parent
 MADE = Path("build") / "share"
+BILL = TOP / "supply" / "seqsweep.cdx.json"
 
 PLACES = {
     "share/man/man1": "seqsweep.1",
@@ -50,4 +54,15 @@ def data_files() -> list[tuple[str, list[str]]]:
     return [(place, [(MADE / name).as_posix()]) for place, name in PLACES.items()]
 
 
-setup(data_files=data_files())
+class WithBill(bdist_wheel):
+    """Metadata of a wheel, or of an editable installation, with the bill of materials."""
+
+    def egg2dist(self, egginfo_path: str, distinfo_path: str) -> None:
+        """Make the ``.dist-info`` folder."""
+        super().egg2dist(egginfo_path, distinfo_path)
+        place = Path(distinfo_path) / "sboms"
+        place.mkdir(exist_ok=True)
+        shutil.copyfile(BILL, place / BILL.name)
+
+
+setup(data_files=data_files(), cmdclass={"bdist_wheel": WithBill})

@@ -63,5 +63,7 @@ def test_a_wheel_installs_into_a_clean_environment_and_works_there(tmp_path):
     ran(home / "python", "-m", "seqsweep", "tune", "y.parquet", "--grid", "0.012+0.25j", "-o", "t.json")
     ran(home / "seqsweep", "report", "y.parquet", "t.json", "-o", "report.html")
     ran(home / "seqsweep", "init", "--notebook")
+    (bill,) = (tmp_path / "clean").rglob("seqsweep-*.dist-info/sboms/seqsweep.cdx.json")
+    assert bill.read_bytes() == (TOP / "supply" / "seqsweep.cdx.json").read_bytes()
     for place in ("man/man1/seqsweep.1", "bash-completion/completions/seqsweep", "zsh/site-functions/_seqsweep"):
         assert (tmp_path / "clean" / "share" / place).read_text("utf-8")
