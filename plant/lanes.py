@@ -33,18 +33,18 @@ def set_complex(x: np.ndarray, slot: int, value: complex) -> None:
 def phasors_of(sums: np.ndarray, v_unit: float, i_unit: float) -> list[Phasors]:
     """Block sums (n_blocks, 8, n_lanes) as phasors at line and mirror, lane by lane, in units of V and A.
 
-    ``i_unit`` is negative where the kernel counts the current out of the device.
+    ``i_unit`` is negative where the kernel counts the current out of the device. The four sums of products of a
+    quantity with the line's phasor, re re, im im, im re and re im, give the line and, with other signs, the mirror.
     """
-    v, i = v_unit * _line_and_mirror(sums[:, :4]), i_unit * _line_and_mirror(sums[:, 4:])
-    return [Phasors(v_lane, i_lane) for v_lane, i_lane in zip(v, i, strict=True)]
-
-
-def _line_and_mirror(sums: np.ndarray) -> np.ndarray:
-    """Phasors (n_lanes, n_blocks, 2) of the four sums of products (n_blocks, 4, n_lanes)."""
-    re_re, im_im, im_re, re_im = sums.transpose(1, 2, 0)
-    line = (re_re + im_im) + 1j * (im_re - re_im)
-    mirror = (re_re - im_im) + 1j * (im_re + re_im)
-    return np.stack([line, mirror], axis=2)
+    n_blocks, _, n_lanes = sums.shape
+    re_re, im_im, im_re, re_im = sums.reshape(n_blocks, 2, 4, n_lanes).transpose(2, 1, 3, 0)
+    phasors = np.empty((2, n_lanes, n_blocks, 2), complex)
+    np.add(re_re, im_im, out=phasors.real[..., 0])
+    np.subtract(im_re, re_im, out=phasors.imag[..., 0])
+    np.subtract(re_re, im_im, out=phasors.real[..., 1])
+    np.add(im_re, re_im, out=phasors.imag[..., 1])
+    phasors.view(float)[...] *= np.array([v_unit, i_unit])[:, None, None, None]
+    return [Phasors(v, i) for v, i in zip(*phasors, strict=True)]
 
 
 class AroundDevice(Protocol):

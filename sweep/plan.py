@@ -31,13 +31,6 @@ EXPECTED_WINDOWS = 3.0
 """Windows of a shot until two agree, as a guess before it has run (reference turbine: 2 to 5, idle lanes included)."""
 
 
-ALIKE = 0.6
-"""Shortest window of a batch in parts of its longest: points of a batch run equally long."""
-
-
-TOGETHER = 4
-"""Points whose eight shots fill the lanes of a compiled plant."""
-
 SETTLE_S = 0.5
 """Simulated time (s) of a broadband signal before its first period that is listened to: fast modes die out in it."""
 
@@ -386,7 +379,7 @@ class Plan:
 
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
-        groups = [self.points] if self.signal is not None else _alike(self.points, self.probes, self.batch_pairs)
+        groups = [self.points] if self.signal is not None else _gathered(self.points, self.probes, self.batch_pairs)
         for condition in self.conditions:
             for group in groups:
                 yield self.batch(condition, group)
@@ -435,23 +428,17 @@ def _signal_facts(signal: Signal) -> dict[str, Any]:
     }
 
 
-def _alike(points: tuple[Frequency, ...], probes: frozenset[float], most: int) -> list[tuple[Frequency, ...]]:
-    """Groups of up to ``most`` pairs of shots, longest windows first; a probe takes two.
-
-    Beyond the first few, which a compiled plant steps for the price of one, none is much shorter than
-    its group's longest.
-    """
+def _gathered(points: tuple[Frequency, ...], probes: frozenset[float], most: int) -> list[tuple[Frequency, ...]]:
+    """Groups of up to ``most`` pairs of shots, longest windows first; a probe takes two."""
     groups: list[list[Frequency]] = []
-    pairs = 0
+    pairs = most
     for point in sorted(points, key=lambda point: (-point.window_blocks, point.f_hz)):
         of_point = 1 + (point.f_hz in probes)
-        alike = groups and point.window_blocks >= ALIKE * groups[-1][0].window_blocks
-        if groups and pairs + of_point <= (most if alike else min(most, TOGETHER)):
-            groups[-1].append(point)
-            pairs += of_point
-        else:
-            groups.append([point])
-            pairs = of_point
+        if pairs + of_point > most:
+            groups.append([])
+            pairs = 0
+        groups[-1].append(point)
+        pairs += of_point
     return [tuple(group) for group in groups]
 
 

@@ -211,7 +211,10 @@ def _check_range(conditions: tuple[Condition, ...], plant: PlantCard) -> None:
 
 
 def _batch_pairs(n_points: int, n_conditions: int, plant: PlantCard) -> int:
-    """Small batches keep two cores busy and lose little; big ones settle and store less often."""
+    """Small batches keep two cores busy and lose little; big ones settle, store and leave lanes idle less often."""
     if not plant.listens:
         return 1
-    return 8 if n_points * n_conditions <= 1000 else 50
+    n = n_points * n_conditions
+    if n <= 64 or not plant.releases_gil:
+        return 8
+    return 16 if n <= 1000 else 128

@@ -6,8 +6,10 @@ a status; a plant that raises costs the points that made it raise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from .broadband import drive_broadband
 from .linearity import compared, covariance_of
 from .proof import proven
 from .rows import BatchResult, Row, blank_row, failed_batch, with_admittance
-from .tones import drive
+from .tones import Driven, drive
 
 DIVERGED_PU = 10.0
 """A response this many times the rated peak has left the small signal for good."""
@@ -46,34 +48,75 @@ def measure(plant: Plant, batch: Batch) -> BatchResult:
     batch : Batch
         One operating point, some of its frequencies, and their shots.
     """
+    (result,) = measure_together(plant, [batch])
+    return result
+
+
+def measure_together(plant: Plant, batches: Sequence[Batch]) -> list[BatchResult]:
+    """`measure` of several batches of one campaign, whose shots fill the lanes of a compiled plant together.
+
+    The result of each is the same to the last bit as that of it alone.
+    """
+    begun = [_begun(plant, batch) for batch in batches]
+    ready = [base for base in begun if isinstance(base, Begun)]
+    rows = iter(_rows(plant, ready) if ready else [])
+    return [_result(base, next(rows)) if isinstance(base, Begun) else base for base in begun]
+
+
+class Begun(NamedTuple):
+    """A batch whose device stands at its operating point."""
+
+    batch: Batch
+    base: Baseline
+
+
+def _begun(plant: Plant, batch: Batch) -> Begun | BatchResult:
+    """The device at the operating point, or the rows that say why it is not there."""
     try:
-        base = baseline(plant, batch)
+        return Begun(batch, baseline(plant, batch))
     except NotSettled as refusal:
         return failed_batch(batch, refusal.status, str(refusal))
     except Unsettled as drift:
         return failed_batch(batch, "not_settled", str(drift))
     except Exception as error:
         return failed_batch(batch, "failed", reason_of(error))
-    condition = {"settle_residual": base.change, **base.fundamental}
-    return BatchResult(tuple(_rows(plant, batch, base)), condition)
 
 
-def _rows(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
-    """All points together, or, where that raises, one by one: a fault costs its own points only."""
+def _result(begun: Begun, rows: Sequence[Row]) -> BatchResult:
+    return BatchResult(tuple(rows), {"settle_residual": begun.base.change, **begun.base.fundamental})
+
+
+def _rows(plant: Plant, begun: Sequence[Begun]) -> list[list[Row]]:
+    """Rows of every batch: all together, or, where that raises, one by one: a fault costs its own points only."""
     try:
-        return _measured(plant, batch, base)
+        return _measured(plant, begun)
     except Exception as error:
+        if len(begun) > 1:
+            return [rows for one in begun for rows in _rows(plant, [one])]
+        ((batch, base),) = begun
         if len(batch.points) == 1:
-            return [blank_row(batch, batch.points[0], "failed", reason_of(error))]
-        return [row for k in range(len(batch.points)) for row in _rows(plant, batch.alone(k), base)]
+            return [[blank_row(batch, batch.points[0], "failed", reason_of(error))]]
+        alone = [Begun(batch.alone(k), base) for k in range(len(batch.points))]
+        return [[row for one in alone for rows in _rows(plant, [one]) for row in rows]]
 
 
-def _measured(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
-    if batch.plays:
-        heard = drive_broadband(plant, batch, base)
-        rows = [_row(batch, point, pair, base, plant) for point, pair in zip(batch.points, heard.pairs, strict=True)]
-        return [replace(row, linearity=float(x)) for row, x in zip(rows, heard.distortion, strict=True)]
-    settled = iter(drive(plant, batch, base, [shot for of_point in batch.shots for shot in of_point]))
+def _measured(plant: Plant, begun: Sequence[Begun]) -> list[list[Row]]:
+    if begun[0].batch.plays:
+        return [_of_signal(plant, batch, base) for batch, base in begun]
+    asked = [Driven(batch, base, [shot for of_point in batch.shots for shot in of_point]) for batch, base in begun]
+    return [_of_tones(plant, *one, settled) for one, settled in zip(begun, drive(plant, asked), strict=True)]
+
+
+def _of_signal(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
+    """Rows of a batch whose points are played together."""
+    heard = drive_broadband(plant, batch, base)
+    rows = [_row(batch, point, pair, base, plant) for point, pair in zip(batch.points, heard.pairs, strict=True)]
+    return [replace(row, linearity=float(x)) for row, x in zip(rows, heard.distortion, strict=True)]
+
+
+def _of_tones(plant: Plant, batch: Batch, base: Baseline, heard: Sequence[Settled]) -> list[Row]:
+    """Rows of a batch from its shots, point after point."""
+    settled = iter(heard)
     rows = []
     for point, of_point in zip(batch.points, batch.shots, strict=True):
         pairs = [(next(settled), next(settled)) for _ in of_point[::2]]
@@ -132,7 +175,7 @@ def _covariance(
     Windows that agree within the tolerance leave an error of that size: a rectangular distribution, whose standard
     deviation is its half-width over sqrt(3), shared by the two components.
     """
-    shared = propagate_common(v, _baseline_noise(batch, point, base, y), base.phi1)
+    shared = propagate_common(v, _baseline_noise(batch, point, base, y), base.phi1) if base.noisy else 0.0
     if all(_is_noisy(shot) for shot in pair):
         n = min(len(shot.v) for shot in pair)
         noise = _scatter_of_mean(y, np.array([s.v[-n:] for s in pair]), np.array([s.i[-n:] for s in pair]), base)

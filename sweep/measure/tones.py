@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,46 +24,106 @@ RUN_BLOCKS = 15
 so that not even their rounding depends on the neighbours."""
 
 
-def drive(plant: Plant, batch: Batch, baseline: Baseline, shots: Sequence[Shot]) -> list[Settled]:
+class Driven(NamedTuple):
+    """What is driven from one baseline: tones, all from its state."""
+
+    batch: Batch
+    baseline: Baseline
+    shots: Sequence[Shot]
+
+
+def drive(plant: Plant, asked: Sequence[Driven]) -> list[list[Settled]]:
     """Run every shot until it is at rest and known well enough, or its time is over.
 
     Parameters
     ----------
     plant : Plant
         The device; `PhasorPlant` is used where it is one.
-    batch : Batch
-        What is asked of them.
-    baseline : Baseline
-        The unperturbed branch: whether it is noisy decides how a shot is judged.
-    shots : sequence of Shot
-        Tones, all from the baseline's state.
+    asked : sequence of Driven
+        Shots from one baseline or from several.
+
+    Returns
+    -------
+    list of list of Settled
+        Of every baseline, in its order of shots.
     """
-    states = [baseline.state] * len(shots)
-    heard: list[list[Phasors]] = [[] for _ in shots]
-    results: dict[int, Settled] = {}
+    begun = [[_OnItsWay(one.batch, one.baseline, shot) for shot in one.shots] for one in asked]
+    if isinstance(plant, PhasorPlant):
+        _drive_by_rounds(plant, [shot for of_one in begun for shot in of_one])
+    else:
+        for of_one in begun:
+            _drive_by_windows(plant, of_one)
+    return [[shot.result for shot in of_one if shot.result is not None] for of_one in begun]
+
+
+class _OnItsWay:
+    """One shot on its way: where it is, and what was heard of it; its result where it is over."""
+
+    def __init__(self, batch: Batch, baseline: Baseline, shot: Shot):
+        self.batch, self.baseline, self.of = batch, baseline, shot
+        self.state = baseline.state
+        self.limit_blocks = _limit_blocks(batch, baseline, shot)
+        self.result: Settled | None = None
+        self._heard: list[Phasors] = []
+
+    @property
+    def job(self) -> Job:
+        return Job(self.state, self.of.injection)
+
+    def window(self, done: int) -> Window:
+        return self.of.window._replace(first_block=done)
+
+    def goes_on(self, state: Any, phasors: Phasors) -> None:
+        self.state = state
+        self._heard.append(phasors)
+
+    def judge(self, done: int) -> None:
+        over = done >= self.limit_blocks
+        result = _settled(self.batch, self.baseline, self.of, self._heard, over)
+        if result is not None and (over or result.agreed or not isfinite(result.residual)):
+            self.result = result
+
+    @cached_property
+    def unperturbed(self) -> Phasors:
+        """What every block hears of the baseline."""
+        return _heard_of(self.baseline, self.batch, self.of.window)
+
+
+def _drive_by_rounds(plant: PhasorPlant, shots: Sequence[_OnItsWay]) -> None:
+    """All shots that are not over go on by `RUN_BLOCKS`, again and again.
+
+    A plant that is stepped in lanes fills them with whoever is left, long windows beside short ones, of one operating
+    point or of several. A shot is judged whenever another window of its own is complete.
+    """
+    done = 0
+    while pending := [shot for shot in shots if shot.result is None]:
+        listening = [shot.window(done) for shot in pending]
+        block_steps = pending[0].batch.block.steps
+        answers = _run_phasors(plant, [shot.job for shot in pending], listening, block_steps, RUN_BLOCKS)
+        due = done + RUN_BLOCKS
+        for shot, window, (state, phasors) in zip(pending, listening, answers, strict=True):
+            shot.goes_on(state, _less(phasors, shot.unperturbed))
+            if due // window.n_blocks > done // window.n_blocks or due >= shot.limit_blocks:
+                shot.judge(due)
+        done = due
+
+
+def _drive_by_windows(plant: Plant, shots: Sequence[_OnItsWay]) -> None:
+    """All shots of a baseline that are not over go on until each of them has another window that can be judged."""
+    batch, baseline = shots[0].batch, shots[0].baseline
     unperturbed, done = baseline.state, 0
-    while pending := [k for k in range(len(shots)) if k not in results]:
-        longest = max(_blocks_to_go(baseline, shots[k], done) for k in pending)
-        n_blocks = min(longest, max(1, max(_limit_blocks(batch, baseline, shots[k]) for k in pending) - done))
-        if isinstance(plant, PhasorPlant):
-            n_blocks += -n_blocks % RUN_BLOCKS
-        jobs = [Job(states[k], shots[k].injection) for k in pending]
-        listening = [shots[k].window._replace(first_block=done) for k in pending]
-        if isinstance(plant, PhasorPlant):
-            answers = _listen_phasors(plant, batch, baseline, jobs, listening, n_blocks)
-        elif baseline.noisy:
+    while pending := [shot for shot in shots if shot.result is None]:
+        longest = max(_blocks_to_go(baseline, shot.of, done) for shot in pending)
+        n_blocks = min(longest, max(1, max(shot.limit_blocks for shot in pending) - done))
+        jobs, listening = [shot.job for shot in pending], [shot.window(done) for shot in pending]
+        if baseline.noisy:
             answers = _listen_noisy_records(plant, batch, baseline, jobs, listening, n_blocks)
         else:
             unperturbed, answers = _listen_records(plant, batch, unperturbed, jobs, listening, n_blocks)
         done += n_blocks
-        for k, (state, phasors) in zip(pending, answers, strict=True):
-            states[k] = state
-            heard[k].append(phasors)
-            over = done >= _limit_blocks(batch, baseline, shots[k])
-            result = _settled(batch, baseline, shots[k], heard[k], over)
-            if result is not None and (over or result.agreed or not isfinite(result.residual)):
-                results[k] = result
-    return [results[k] for k in range(len(shots))]
+        for shot, (state, phasors) in zip(pending, answers, strict=True):
+            shot.goes_on(state, phasors)
+            shot.judge(done)
 
 
 def _first_windows(baseline: Baseline) -> int:
@@ -104,52 +165,34 @@ def _settled(batch: Batch, baseline: Baseline, shot: Shot, heard: list[Phasors],
 # Listening
 
 
-def _listen_phasors(
-    plant: PhasorPlant,
-    batch: Batch,
-    baseline: Baseline,
-    jobs: list[Job],
-    listening: list[Window],
-    n_blocks: int,
-) -> list[tuple[Any, Phasors]]:
-    """Phasors accumulated by the plant, less those of the periodic baseline."""
-    heard: list[list[Phasors]] = []
-    for first in range(0, n_blocks, RUN_BLOCKS):
-        windows_now = [window._replace(first_block=window.first_block + first) for window in listening]
-        answers = _run_phasors(plant, jobs, windows_now, batch.block.steps, RUN_BLOCKS)
-        jobs = [Job(state, job.injection) for (state, _), job in zip(answers, jobs, strict=True)]
-        heard.append([phasors for _, phasors in answers])
-    cleaned = []
-    for job, window, parts in zip(jobs, listening, zip(*heard, strict=True), strict=True):
-        whole = Phasors(np.concatenate([part.v for part in parts]), np.concatenate([part.i for part in parts]))
-        cleaned.append((job.state, _without(whole, baseline, batch, window)))
-    return cleaned
-
-
 def _listen_noisy_records(
     plant: Plant, batch: Batch, baseline: Baseline, jobs: list[Job], listening: list[Window], n_blocks: int
 ) -> list[tuple[Any, Phasors]]:
     """Phasors of records less those of the mean baseline: subtracting another noisy branch would double the noise."""
     answers = run(plant, jobs, n_blocks * batch.block.steps)
     return [
-        (state, _without(block_phasors(record, window, batch.block.steps), baseline, batch, window))
+        (state, _less(block_phasors(record, window, batch.block.steps), _heard_of(baseline, batch, window)))
         for (state, record), window in zip(answers, listening, strict=True)
     ]
 
 
-def _without(phasors: Phasors, baseline: Baseline, batch: Batch, window: Window) -> Phasors:
-    """Block sums less an equal share of what the window hears of the baseline.
+def _heard_of(baseline: Baseline, batch: Batch, window: Window) -> Phasors:
+    """What one block of the window hears of the baseline, (2,) each: an equal share of what the whole window hears.
 
     Only whole windows are ever used, so the share of a single block is a matter of bookkeeping.
     """
     window_s = window.n_blocks * batch.block.duration_s
     pair = (window.f_hz, 2.0 * batch.f1_hz - window.f_hz)
-    share = [
+    v, i = (
         np.array([periodic_window(x, round(f * window_s), window.n_blocks, baseline.t0_s / window_s) for f in pair])
         / window.n_blocks
         for x in (baseline.v, baseline.i)
-    ]
-    return Phasors(phasors.v - share[0], phasors.i - share[1])
+    )
+    return Phasors(v, i)
+
+
+def _less(phasors: Phasors, unperturbed: Phasors) -> Phasors:
+    return Phasors(phasors.v - unperturbed.v, phasors.i - unperturbed.i)
 
 
 def _listen_records(

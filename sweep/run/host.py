@@ -9,7 +9,7 @@ the right rows.
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from ...plant.protocol import Plant
 from ...plant.registry import PlantCard, PlantError, PlantSpec, make_plant, refuse_unknown_id, runs_isolated
 from ..config.sections import Config
-from ..measure.measure import measure
+from ..measure.measure import measure, measure_together
 from ..measure.rows import BatchResult, failed_batch
 from ..plan import Batch, Hosting
 from .child import DEFAULT_MEMORY_MB, Child, ChildFailed, child, scratch
@@ -27,8 +27,8 @@ from .heartbeat import Waiting
 
 T = TypeVar("T")
 
-Measure = Callable[[Batch], BatchResult]
-"""`measure` with its plant at hand; may be called from any thread."""
+Measure = Callable[[Sequence[Batch]], list[BatchResult]]
+"""`measure_together` with its plant at hand; may be called from any thread."""
 
 DEFAULT_TIMEOUT_S = 60.0
 """Wall time (s) that one shot may take, where the campaign does not say."""
@@ -64,7 +64,7 @@ class Host(Protocol):
         """
 
     def measuring(self, n_workers: int, say: Say = silent) -> AbstractContextManager[Measure]:
-        """For a ``with`` block: `measure`, for so many threads at once; ``say`` takes lines on what is waited for."""
+        """For a ``with`` block: `measure_together`, for so many threads at once; ``say`` takes lines on what waits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class LocalHost:
 
     @contextmanager
     def measuring(self, n_workers: int, say: Say = silent) -> Iterator[Measure]:
-        yield partial(measure, self.plant)
+        yield partial(measure_together, self.plant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class ChildHost:
             limits = Limits(self.timeout_s or DEFAULT_TIMEOUT_S, self._memory_mb)
             lent = Children(self.spec, limits, n_workers, folder, say)
             try:
-                yield lent.measure
+                yield lambda batches: [lent.measure(batch) for batch in batches]
             finally:
                 lent.close()
 

@@ -9,10 +9,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from ...plant.errors import SeqsweepError
-from ...plant.protocol import Plant
+from ...plant.protocol import PhasorPlant, Plant
 from ...plant.registry import PlantCard, releases_gil
 from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
@@ -21,6 +21,16 @@ from .host import Say, host_at_hand, host_of, silent
 
 RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
+
+
+TOGETHER = 4
+"""Batches of a compiled plant that a thread measures together: the longest pairs of shots of so many fill its lanes."""
+
+FEW = 4
+"""A thread is to find so many tasks at least, or the last one keeps the others waiting."""
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 class RunError(SeqsweepError):
@@ -95,19 +105,35 @@ def _parallel(
         yield from _in_processes(partial(_in_child, plan.hosting), batches, workers.jobs)
     else:
         with host_at_hand(plant, plan.hosting).measuring(workers.jobs, workers.say) as measure:
-            yield from _in_threads(lambda batch: (batch.key, measure(batch)), batches, workers.jobs)
+            bundles = _bundles(batches, workers.jobs, plant)
+            for keys, measured in _in_threads(lambda bundle: (_keys(bundle), measure(bundle)), bundles, workers.jobs):
+                yield from zip(keys, measured, strict=True)
 
 
-def _in_threads(work: Work, batches: Sequence[Batch], jobs: int) -> Iterator[tuple[str, BatchResult]]:
-    """Results as they come; a few batches wait for each thread, and who stops listening stops the rest."""
+def _bundles(batches: Sequence[Batch], jobs: int, plant: Plant | PlantCard) -> list[Sequence[Batch]]:
+    """What a thread takes at once: of a compiled plant several batches, where enough are left for all threads.
+
+    The last shots of an operating point leave lanes idle; those of several fill them.
+    """
+    compiled = isinstance(plant, PhasorPlant) and releases_gil(plant)
+    n = TOGETHER if compiled and len(batches) >= FEW * TOGETHER * jobs else 1
+    return [batches[first : first + n] for first in range(0, len(batches), n)]
+
+
+def _keys(batches: Sequence[Batch]) -> list[str]:
+    return [batch.key for batch in batches]
+
+
+def _in_threads(work: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[R]:
+    """Results as they come; a few tasks wait for each thread, and who stops listening stops the rest."""
     if jobs == 1:
-        yield from map(work, batches)
+        yield from map(work, tasks)
         return
-    coming, pool = iter(batches), ThreadPoolExecutor(jobs)
-    waiting: set[Future[tuple[str, BatchResult]]] = set()
+    coming, pool = iter(tasks), ThreadPoolExecutor(jobs)
+    waiting: set[Future[R]] = set()
     try:
         while True:
-            waiting |= {pool.submit(work, batch) for batch in islice(coming, 3 * jobs - len(waiting))}
+            waiting |= {pool.submit(work, task) for task in islice(coming, 3 * jobs - len(waiting))}
             if not waiting:
                 return
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -201,4 +227,5 @@ def _in_child(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
 
 def _in_process(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
     with host_of(hosting).measuring(1) as measure:
-        return batch.key, measure(batch)
+        (result,) = measure([batch])
+        return batch.key, result

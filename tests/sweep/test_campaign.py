@@ -58,13 +58,13 @@ def undisturbed(tmp_path_factory):
 def counted(monkeypatch):
     """Keys of the batches that are measured in this process."""
     keys = []
-    real = host.measure
+    real = host.measure_together
 
-    def counting(plant, batch):
-        keys.append(batch.key)
-        return real(plant, batch)
+    def counting(plant, batches):
+        keys.extend(batch.key for batch in batches)
+        return real(plant, batches)
 
-    monkeypatch.setattr(host, "measure", counting)
+    monkeypatch.setattr(host, "measure_together", counting)
     return keys
 
 

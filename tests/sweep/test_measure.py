@@ -11,7 +11,7 @@ import pytest
 from seqsweep.plant.rl_branch import RLBranch, admittance
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.config.sections import Config
-from seqsweep.sweep.measure.measure import measure
+from seqsweep.sweep.measure.measure import measure, measure_together
 from seqsweep.sweep.planning import make_plan
 
 from ..support import plants
@@ -181,6 +181,30 @@ def test_a_point_is_the_same_to_the_last_bit_whatever_shares_its_batch():
             batch = plan.batch(condition, tuple(shuffled[first : first + size]))
             for row in measure(plant, batch).rows:
                 assert repr(row) == repr(together[row.f_hz])  # repr: NaN equals itself, and no bit is lost
+
+
+def test_operating_points_measured_together_are_the_same_to_the_last_bit_as_alone():
+    plant = ReferenceTurbine()
+    points = [
+        {"id": f"p{k}", "active_power_mw": power_mw, "terminal_voltage_pu": 1.0}
+        for k, power_mw in enumerate((0.3, 1.25, 0.65, 0.9))
+    ]
+    plan = planned(plant, f_hz=[3.0, 49.0, 77.0, 300.0], operating_point=points)
+    batches = list(plan.batches())
+    assert len(batches) == len(points)
+    for batch, together in zip(batches, measure_together(plant, batches), strict=True):
+        assert repr(together) == repr(measure(plant, batch))
+
+
+def test_what_fails_among_several_costs_its_own_points_alone():
+    plant, sound = plants.FailingBranch("raises"), RLBranch()
+    points = [{"id": name, "active_power_mw": 0.65, "terminal_voltage_pu": 1.0} for name in "ab"]
+    of_both = measure_together(plant, list(planned(plant, operating_point=points).batches()))
+    alone = list(planned(sound, operating_point=points).batches())
+    for found, expected in zip(of_both, measure_together(sound, alone), strict=True):
+        assert [row.status for row in found.rows].count("failed") == 1
+        kept = {row.f_hz: repr(row.y) for row in found.rows if row.status == "ok"}
+        assert kept == {row.f_hz: repr(row.y) for row in expected.rows if row.f_hz in kept}
 
 
 def test_the_rows_come_in_the_order_of_the_batch():

@@ -89,7 +89,7 @@ def test_the_fundamental_of_the_table_is_that_of_the_closed_form(tmp_path):
 
 def test_the_strictest_batch_speaks_for_the_operating_point():
     plant = RLBranch()
-    plan = planned(plant, f_hz=[2.0, 20.0, 70.0, 130.0, 300.0, 501.5])
+    plan = replace(planned(plant, f_hz=[2.0, 20.0, 70.0, 130.0, 300.0, 501.5]), batch_pairs=2)
     batches = list(plan.batches())
     assert len(batches) > 1
     rows = [row for batch in batches for row in measure(plant, batch).rows]
