@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from ..identify.response import FrequencyResponse
-from ..identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
+from ..identify.surrogate.region import Region, facts_of, name_of, points_of
+from ..identify.surrogate.surrogate import Surrogate, build_surrogate
 from ..plant.errors import SeqsweepError
 from ..tuning.region.worst import Worst
 from ..tuning.result import PointTuning
 from ..tuning.tune import tune_point
-from .config.sections import Config
 from .planning import make_plan
+from .region.adaptive import listed
 from .run.campaign import sweep_in_memory
 from .run.host import plant_or_card
 
@@ -32,7 +33,7 @@ AGREES = 0.005
 _BESIDE = 0.005  # parts of the region within which a point counts as swept
 
 Sweep = Callable[[np.ndarray], FrequencyResponse]
-"""Sweeps the device at an operating point (3,)."""
+"""Sweeps the device at an operating point (d,)."""
 
 
 class WorstError(SeqsweepError):
@@ -118,23 +119,25 @@ def confirmed_worst(
     worst = search(build_surrogate(known, region=region, bases=bases))
     predicted = worst.tuning.margin_m
     while len(known) - len(responses) < most:
-        at = _next(worst, _points_of(known), region)
+        at = _next(worst, points_of(known, region.parameters), region)
         if at is None:
             break
         predicted = worst.tuning.margin_m if at is worst.point else predicted
         known.append(sweep(at))
         worst = search(build_surrogate(known, region=region, bases=bases))
-        say(f"{len(known)} sweeps, the last at {name_of(at)}: m = {_number(worst.tuning.margin_m)} at the worst point")
+        name = name_of(at, region.parameters)
+        say(f"{len(known)} sweeps, the last at {name}: m = {_number(worst.tuning.margin_m)} at the worst point")
     own = _swept_there(worst, known, region)
     tuning = worst.tuning if own is None else _judged(own, worst)
     added = tuple(known[len(responses) :])
-    return ConfirmedWorst(
-        worst, tuning, own is not None, predicted, len(known), added, _open_m(worst, _points_of(known), region)
-    )
+    left = _open_m(worst, points_of(known, region.parameters), region)
+    return ConfirmedWorst(worst, tuning, own is not None, predicted, len(known), added, left)
 
 
-def sweeping(configuration: Mapping[str, Any], jobs: int) -> Sweep:
+def sweeping(configuration: Mapping[str, Any], jobs: int, parameters: Sequence[str] = ()) -> Sweep:
     """Sweeps operating points of the plant of a campaign, as it is written in a table's metadata.
+
+    ``parameters`` are those of the plant whose values stand behind P, Q and |v| in a point.
 
     Raises
     ------
@@ -144,16 +147,14 @@ def sweeping(configuration: Mapping[str, Any], jobs: int) -> Sweep:
     plain = dict(configuration)
     if not {"campaign", "plant", "sweep"} <= set(plain):
         raise WorstError("the table does not say which campaign it came from: its worst point is a prediction")
-    plain["sweep"] = {k: v for k, v in plain["sweep"].items() if k != "operating_points"}
 
     def sweep(point: np.ndarray) -> FrequencyResponse:
-        entry = {"id": name_of(point), **dict(zip(AXES, map(float, point), strict=True))}
-        config = Config.from_dict({**plain, "operating_point": [entry]})
+        config = listed(plain, point[None], parameters)
         plant = plant_or_card(config)
         plan = replace(make_plan(config, plant), adaptive=None)
         swept = sweep_in_memory(plan, plant, jobs=jobs, backend="threading")
         (response,), (facts,) = swept.responses(), swept.metadata()["operating_points"]
-        return replace(response, meta={**response.meta, **facts})
+        return replace(response, meta={**response.meta, **facts, **facts_of(point, parameters)})
 
     return sweep
 
@@ -179,12 +180,8 @@ def _open_m(worst: Worst, swept: np.ndarray, region: Region) -> float | None:
     return None if at is None else float(worst.lows[at])
 
 
-def _points_of(known: Sequence[FrequencyResponse]) -> np.ndarray:
-    return np.array([[float(r.meta.get(axis) or 0.0) for axis in AXES] for r in known])
-
-
 def _swept_there(worst: Worst, known: Sequence[FrequencyResponse], region: Region) -> FrequencyResponse | None:
-    at = _near(worst.point, _points_of(known), region)
+    at = _near(worst.point, points_of(known, region.parameters), region)
     return None if at is None else known[at]
 
 

@@ -37,8 +37,8 @@ class Progress:
     ----------
     largest_bar : float
         Largest 95 % radius of Y over region and frequencies, relative to ||Y||.
-    at : (3,) float
-        Where it stands (MW, Mvar, pu).
+    at : (d,) float
+        Where it stands (MW, Mvar, pu, parameters).
     missed : tuple of float
         By how much the latest sweeps missed their prediction at most, relative to ||Y||, oldest first; sweeps that were
         made where nothing was predicted, in the gap of a jump, are not among them.
@@ -59,12 +59,12 @@ class Progress:
 
 
 def first_count(n_axes: int) -> int:
-    """Sweeps before the first surrogate: 6 along two axes, 8 along three."""
+    """Sweeps before the first surrogate: 6 along two axes, 8 along three, 10 along four."""
     return max(4, 2 * n_axes + 2)
 
 
 def first_points(region: Region, seed: int = 0) -> np.ndarray:
-    """Latin design at Chebyshev levels (n, 3), in the units of the region; the same for the same seed.
+    """Latin design at Chebyshev levels (n, d), in the units of the region; the same for the same seed.
 
     Notes
     -----
@@ -82,7 +82,7 @@ def first_points(region: Region, seed: int = 0) -> np.ndarray:
 
 
 def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]:
-    """The operating point (3,) of the region with the largest bar, not too near a swept one, and that bar."""
+    """The operating point (d,) of the region with the largest bar, not too near a swept one, and that bar."""
     candidates = region.samples(_CANDIDATES)
     candidates = candidates[surrogate.holds(candidates)]
     relative = surrogate.evaluate(candidates).relative.max(axis=1)
@@ -95,7 +95,7 @@ def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]
 
 
 def gap_of(surrogate: Surrogate) -> tuple[float, np.ndarray | None]:
-    """Width of the gap of a jump, and the operating point (3,) that narrows it; None where it is narrow enough."""
+    """Width of the gap of a jump, and the operating point (d,) that narrows it; None where it is narrow enough."""
     if surrogate.border is None:
         return 0.0, None
     points = surrogate.region.samples(_CANDIDATES)
@@ -104,7 +104,7 @@ def gap_of(surrogate: Surrogate) -> tuple[float, np.ndarray | None]:
 
 
 def missed_by(surrogate: Surrogate, response: FrequencyResponse, point: np.ndarray) -> float:
-    """Largest ||Y - Y predicted||_F / ||Y||_F over the rows of a fresh sweep at ``point`` (3,)."""
+    """Largest ||Y - Y predicted||_F / ||Y||_F over the rows of a fresh sweep at ``point`` (d,)."""
     data = to_dq(response)
     at = np.abs(surrogate.nu_hz[None] - data.nu_hz[:, None]).argmin(axis=1)
     same = np.abs(surrogate.nu_hz[at] - data.nu_hz) <= 1e-6 * data.nu_hz

@@ -8,7 +8,7 @@ the last sweep of one side and the first of the other nothing is known, and noth
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ FEATURES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
     "reactive current": (lambda x: -x[:, 1] / x[:, 2], "Mvar/pu"),
     "apparent power": (lambda x: np.hypot(x[:, 0], x[:, 1]), "MVA"),
 }
-"""What a device may switch by, of operating points (p, 3) in MW, Mvar and pu; and its unit."""
+"""What a device may switch by, of operating points (p, d) in MW, Mvar and pu; and its unit."""
 
 GAIN = 10.0
 """By how much the sides must be described better than the whole."""
@@ -58,12 +58,15 @@ class Cut(NamedTuple):
     rising: bool = True
     """Whether the second side is above."""
 
+    column: int | None = None
+    """Where the feature is a parameter of the plant: its place in an operating point."""
+
     def value(self, points: np.ndarray) -> np.ndarray:
-        """(p,) the feature at points (p, 3)."""
-        return np.asarray(FEATURES[self.feature][0](np.atleast_2d(points)))
+        """(p,) the feature at points (p, d)."""
+        return _value(self.feature, self.column, np.atleast_2d(points))
 
     def side(self, points: np.ndarray) -> np.ndarray:
-        """(p,) int of points (p, 3): 0 or 1, and -1 in between."""
+        """(p,) int of points (p, d): 0 or 1, and -1 in between."""
         value = self.value(points)
         below, above = (0, 1) if self.rising else (1, 0)
         return np.where(value <= self.low, below, np.where(value >= self.high, above, -1))
@@ -91,7 +94,7 @@ class Border(NamedTuple):
     cuts: tuple[Cut, ...]
 
     def side(self, points: np.ndarray) -> np.ndarray:
-        """(p,) int of points (p, 3): 0 or 1, and -1 in the gap where nothing is known."""
+        """(p,) int of points (p, d): 0 or 1, and -1 in the gap where nothing is known."""
         sides = np.array([cut.side(points) for cut in self.cuts])
         return np.where((sides == sides[0]).all(axis=0), sides[0], -1)
 
@@ -104,7 +107,7 @@ class Border(NamedTuple):
         return max(self.cuts[0].width(points), clear)
 
     def question(self, swept: np.ndarray, points: np.ndarray, width: float) -> np.ndarray:
-        """The operating point (3,) to sweep next: where features disagree most, else in the middle of the gap."""
+        """The operating point (d,) to sweep next: where features disagree most, else in the middle of the gap."""
         at, clear = self._disputed(points)
         return points[at] if clear > width else self._middle(swept)
 
@@ -129,7 +132,21 @@ class Border(NamedTuple):
 
     def __str__(self) -> str:
         cut = self.cuts[0]
-        return f"{cut.feature} {cut.low:.4g} to {cut.high:.4g} {FEATURES[cut.feature][1]}"
+        unit = "" if cut.column is not None else f" {FEATURES[cut.feature][1]}"
+        return f"{cut.feature} {cut.low:.4g} to {cut.high:.4g}{unit}"
+
+
+_Features = list[tuple[str, int | None]]
+
+
+def _features(parameters: Sequence[str]) -> _Features:
+    """Names of what a device may switch by, with the column of an operating point where it is a parameter."""
+    return [*((name, None) for name in FEATURES), *((name, 3 + k) for k, name in enumerate(parameters))]
+
+
+def _value(feature: str, column: int | None, points: np.ndarray) -> np.ndarray:
+    """(p,) of points (p, d)."""
+    return np.asarray(FEATURES[feature][0](points) if column is None else points[:, column])
 
 
 def _range(value: np.ndarray) -> float:
@@ -141,28 +158,34 @@ def least_side(n_axes: int) -> int:
     return 2 * n_axes + 2
 
 
-def find_border(points: np.ndarray, data: Data, region: np.ndarray, noise: np.ndarray | None) -> Border | None:
+def find_border(
+    points: np.ndarray, data: Data, region: np.ndarray, noise: np.ndarray | None, parameters: Sequence[str] = ()
+) -> Border | None:
     """The border of a jump, or None where the sweeps show none.
 
     Parameters
     ----------
-    points : (m, 3) float
-        The sweeps, in MW, Mvar and pu.
+    points : (m, d) float
+        The sweeps, in MW, Mvar and pu, and the values of parameters.
     data : Data
         The same in the unit box.
     region : (p, d) float
         Points of the unit box over which denominators are guarded.
     noise : (f, m) float or None
         Relative variance of the rows.
+    parameters : sequence of str
+        Names of the parameters that are axes.
     """
+    features = _features(parameters)
     few = _thinned(data, noise)
-    partitions = _partitions(points, few)
+    partitions = _partitions(points, few, features)
     if not partitions:
         return None
     whole = fit_shape(few.data, choose_shapes(few.data, region)[0]).score
     if whole < max(WORTH, GAIN * few.noise):
         return None
-    found = [s for part in partitions if (s := _settled(points, few, part, region)) is not None]
+    settled = (_settled(points, few, part, region, features) for part in partitions)
+    found = [split for split in settled if split is not None]
     better = [s for s in found if s.score * GAIN <= whole or s.score <= 3.0 * few.noise]
     best = min(better, key=lambda s: s.score, default=None)
     return None if best is None or not _differ(points, few, best) else best.border
@@ -196,9 +219,9 @@ def _side_of(data: Data, mask: np.ndarray) -> Data:
     return Data(data.x[mask], data.y[:, mask], data.weight[:, mask])
 
 
-def _partitions(points: np.ndarray, few: _Few) -> list[np.ndarray]:
+def _partitions(points: np.ndarray, few: _Few, features: _Features) -> list[np.ndarray]:
     """Splits (m,) bool at one value of a feature, those first that speak most clearly for two devices."""
-    splits = _splits(points, least_side(few.data.x.shape[1]))
+    splits = _splits(points, least_side(few.data.x.shape[1]), features)
     if len(splits) == 0:
         return []
     evidence = evidence_of(few.data, few.variance, splits)
@@ -207,11 +230,11 @@ def _partitions(points: np.ndarray, few: _Few) -> list[np.ndarray]:
     return [splits[k] for k in ranked if likely[k]]
 
 
-def _splits(points: np.ndarray, least: int) -> np.ndarray:
+def _splits(points: np.ndarray, least: int, features: _Features) -> np.ndarray:
     """(n, m) bool: sweeps above each value of each feature, where both sides hold ``least`` sweeps or more."""
     found: dict[bytes, np.ndarray] = {}
-    for value_of, _ in FEATURES.values():
-        value = value_of(points)
+    for feature in features:
+        value = _value(*feature, points)
         for at in np.unique(value)[1:]:
             side = value >= at - 1e-12
             if least <= side.sum() <= len(side) - least:
@@ -219,7 +242,7 @@ def _splits(points: np.ndarray, least: int) -> np.ndarray:
     return np.array(list(found.values()))
 
 
-def _settled(points: np.ndarray, few: _Few, side: np.ndarray, region: np.ndarray) -> _Split | None:
+def _settled(points: np.ndarray, few: _Few, side: np.ndarray, region: np.ndarray, features: _Features) -> _Split | None:
     """A split whose sweeps stand on the side that explains them, and the feature that parts them."""
     least = least_side(few.data.x.shape[1])
     for _ in range(_MOVES):
@@ -230,7 +253,7 @@ def _settled(points: np.ndarray, few: _Few, side: np.ndarray, region: np.ndarray
         if np.array_equal(moved, side):
             break
         side = moved
-    border = _border(points, side)
+    border = _border(points, side, features)
     return None if border is None else _Split(side, models, max(m.score for m in models), border)
 
 
@@ -254,20 +277,20 @@ def _missed(data: Data, model: Fitted) -> np.ndarray:
     return np.sqrt(np.mean(np.sum(np.abs(off) ** 2, axis=2), axis=0))
 
 
-def _border(points: np.ndarray, side: np.ndarray) -> Border | None:
+def _border(points: np.ndarray, side: np.ndarray, features: _Features) -> Border | None:
     """Every feature that parts the sides without an exception, that with the widest gap first; None if none does."""
-    cuts = [cut for name in FEATURES if (cut := _cut(points, side, name)) is not None]
+    cuts = [cut for feature in features if (cut := _cut(points, side, *feature)) is not None]
     cuts.sort(key=lambda cut: -cut.width(points))
     if not cuts:
         return None
     return Border(tuple(cut._replace(rising=cut.rising == cuts[0].rising) for cut in cuts))
 
 
-def _cut(points: np.ndarray, side: np.ndarray, name: str) -> Cut | None:
-    value = FEATURES[name][0](points)
+def _cut(points: np.ndarray, side: np.ndarray, name: str, column: int | None) -> Cut | None:
+    value = _value(name, column, points)
     for rising, above in ((True, side), (False, ~side)):
         if value[~above].max() < value[above].min() - 1e-9 * _range(value):
-            return Cut(name, float(value[~above].max()), float(value[above].min()), rising)
+            return Cut(name, float(value[~above].max()), float(value[above].min()), rising, column)
     return None
 
 

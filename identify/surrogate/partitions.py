@@ -69,7 +69,8 @@ def _deviance(x: np.ndarray, y: np.ndarray, sides: np.ndarray, nugget: float) ->
     same = sides[:, :, None] == sides[:, None, :]
     squared = (x[:, None] - x[None]) ** 2
     best = np.full(len(sides), np.inf)
-    for lengths in itertools.product(LENGTHS, repeat=x.shape[1]):
+    tried = LENGTHS if x.shape[1] <= 3 else LENGTHS[::2]
+    for lengths in itertools.product(tried, repeat=x.shape[1]):
         kernel = _LEVEL + np.exp(-0.5 * (squared / np.square(lengths)).sum(axis=2))
         factor = np.linalg.cholesky(same * kernel + nugget * np.eye(m))
         left = np.linalg.solve(factor, np.broadcast_to(y, (len(sides), *y.shape)))

@@ -14,7 +14,7 @@ from .surrogate import AXES, Surrogate
 
 
 def write_predicted(path: str | Path, surrogate: Surrogate, points: Sequence[np.ndarray], table: Table) -> None:
-    """Write the predictions at ``points`` (each (3,): MW, Mvar, pu), at the frequencies of ``table``'s first point.
+    """Write the predictions at ``points`` (each (d,)), at the frequencies of ``table``'s first point.
 
     The covariance of a row holds the surrogate's error; the metadata's ``plant`` says what the rows rest on.
 
@@ -34,7 +34,7 @@ def write_predicted(path: str | Path, surrogate: Surrogate, points: Sequence[np.
 
 
 def _entry(meta: Any) -> dict[str, Any]:
-    return {key: meta[key] for key in ("op_id", *AXES)}
+    return {key: meta[key] for key in ("op_id", *AXES, "parameters") if key in meta}
 
 
 def _known(surrogate: Surrogate, f_hz: np.ndarray) -> np.ndarray:

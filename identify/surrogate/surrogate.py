@@ -1,85 +1,43 @@
 """The surrogate: Y(f; P, Q, V) at any operating point inside the swept region, with a 95 % region of its error.
 
-Operating points are given as the table gives them (set-points in MW, Mvar and pu of the terminal voltage). The model's
-coordinates are the currents and the voltage they stand for, ``i_d = P/V``, ``i_q = -Q/V`` and V, each scaled to -1 to 1
-over the swept points: in these a linearised converter is nearly polynomial over one denominator.
+Operating points are given as the table gives them (set-points in MW, Mvar and pu of the terminal voltage, and plant
+parameters where they are axes). The model's coordinates are the currents and the voltage they stand for, ``i_d = P/V``,
+``i_q = -Q/V`` and V, each scaled to -1 to 1 over the swept points: in these a linearised converter is nearly polynomial
+over one denominator.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...plant.errors import SeqsweepError
 from ..fit.dq_data import to_dq
 from ..frames import dq_to_pn
 from ..response import FrequencyResponse
 from .certainty import Certainty, certainty, relative_error
 from .index_sets import Index
 from .jumps import Border, find_border
+from .region import (
+    AXES,
+    Region,
+    Scale,
+    SurrogateError,
+    facts_of,
+    name_of,
+    parameters_of,
+    points_of,
+    scale_of,
+)
 from .sparse_rational import ELEMENTS, Data, Fitted, Shape, choose_shapes, fit_shape, predict
-
-AXES = ("active_power_mw", "reactive_power_mvar", "terminal_voltage_pu")
-"""What an operating point is given by; a table without a reactive power has zero."""
 
 DECIDING = 24
 """Frequencies by which the products are chosen."""
 
-LEAST_SWEEPS = 4
-"""Fewest operating points that a surrogate is built from."""
-
 _SAME = 1e-6  # |f - f1| closer than this, relatively, are one frequency
-_SPREAD = 1e-9  # an axis that varies by less, relatively, does not vary
-_BESIDE = 1e-9  # how far outside the region rounding may put a point
-
-
-class SurrogateError(SeqsweepError):
-    """Sweeps that no surrogate can be built from, or a point where it has nothing to say, with the way out."""
-
-
-@dataclass(frozen=True, slots=True)
-class Region:
-    """The box of swept operating points, in the units of `AXES`."""
-
-    low: np.ndarray
-    high: np.ndarray
-
-    @property
-    def varies(self) -> np.ndarray:
-        """(3,) bool: which axes the sweeps differ along."""
-        return self.high - self.low > _SPREAD * np.maximum(np.abs(self.high), 1.0)
-
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """(p,) bool: points (p, 3) inside the box."""
-        room = _BESIDE * np.maximum(np.abs(self.high), 1.0)
-        return np.asarray(((points >= self.low - room) & (points <= self.high + room)).all(axis=1))
-
-    def samples(self, n: int) -> np.ndarray:
-        """Points (n', 3) that fill the box evenly, its corners among them; always the same."""
-        from scipy.stats import qmc
-
-        at = np.flatnonzero(self.varies)
-        inside = qmc.Sobol(len(at), scramble=False).random(1 << max(n - 1, 1).bit_length())
-        corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * len(at)), axis=-1).reshape(-1, len(at))
-        unit = np.zeros((len(inside) + len(corners), len(self.low)))
-        unit[:, at] = np.concatenate([corners, inside])
-        return self.low + unit * (self.high - self.low)
-
-
-class Scale(NamedTuple):
-    """How currents and voltage (i_d, i_q, V) become the unit box; ``axes`` are those that vary."""
-
-    axes: tuple[int, ...]
-    middle: np.ndarray
-    half: np.ndarray
-
-    def unit(self, points: np.ndarray) -> np.ndarray:
-        """(p, d) coordinates of operating points (p, 3)."""
-        return (_currents(points)[:, self.axes] - self.middle) / self.half
 
 
 class Evaluation(NamedTuple):
@@ -137,8 +95,8 @@ class Surrogate:
         Frequencies of the model in the dq frame, |f - f1| (Hz).
     region : Region
         Where it speaks.
-    points : (m, 3) float
-        The swept operating points, in the units of `AXES`.
+    points : (m, d) float
+        The swept operating points, along the axes of the region.
     scale : Scale
         From operating points to the unit box.
     pieces : tuple of Piece
@@ -164,17 +122,17 @@ class Surrogate:
     def __repr__(self) -> str:
         spans = (
             f"{axis} {low:.4g} to {high:.4g}" if high > low else f"{axis} {low:.4g}"
-            for axis, low, high in zip(AXES, self.region.low, self.region.high, strict=True)
+            for axis, low, high in zip(self.region.axes, self.region.low, self.region.high, strict=True)
         )
         return f"<Surrogate of {len(self.points)} operating points, {len(self.nu_hz)} frequencies: {', '.join(spans)}>"
 
     def evaluate(self, points: np.ndarray) -> Evaluation:
-        """Y at operating points (p, 3) inside the region, in the dq frame.
+        """Y at operating points (p, d) inside the region, in the dq frame; (p, 3) where no parameter is open.
 
         Raises
         ------
         SurrogateError
-            If a point is outside the region.
+            If a point is outside the region, or a parameter's value is missing.
         """
         points = self._inside(points)
         x = self.scale.unit(points)
@@ -191,8 +149,8 @@ class Surrogate:
 
         Parameters
         ----------
-        point : (3,) float
-            P (MW), Q (Mvar), |v| (pu).
+        point : (d,) float
+            P (MW), Q (Mvar), |v| (pu), and the values of parameters that are axes.
         f_hz : (n,) float or None
             Frequencies among the model's own and their mirrors; None: the model's, above f1.
 
@@ -207,11 +165,12 @@ class Surrogate:
         y = np.where((f < self.f1_hz)[:, None, None], found.y[0, at].conj(), found.y[0, at])
         variance = CORRELATED * (found.radius[0, at] / _RADIUS) ** 2 / (2.0 * ELEMENTS)
         covariance = variance[:, None, None] * np.eye(2 * ELEMENTS)
-        meta = {**dict(zip(AXES, map(float, point), strict=True)), "op_id": name_of(point), "surrogate": True}
+        whole = self.region.complete(np.asarray(point))[0]
+        meta = {**facts_of(whole, self.region.parameters), "surrogate": True}
         return FrequencyResponse(f, dq_to_pn(y), self.f1_hz, covariance=covariance, meta={**self._facts(), **meta})
 
     def terminal_current(self, points: np.ndarray) -> np.ndarray:
-        """(p,) complex fundamental current out of the device (A, RMS), d on v_pcc, at operating points (p, 3).
+        """(p,) complex fundamental current out of the device (A, RMS), d on v_pcc, at operating points (p, d).
 
         Raises
         ------
@@ -220,17 +179,18 @@ class Surrogate:
         """
         if self.terminal is None:
             raise SurrogateError("the table lacks the measured fundamental of its operating points: sweep it again")
-        return predict(self.terminal, self.scale.unit(np.atleast_2d(points))).y[:, 0, 0]
+        return predict(self.terminal, self.scale.unit(self.region.complete(points))).y[:, 0, 0]
 
     @cached_property
     def worst_bar(self) -> tuple[float, np.ndarray]:
-        """Largest relative radius over the region, and the operating point (3,) where it stands."""
+        """Largest relative radius over the region, and the operating point (d,) where it stands."""
         points = self.samples(512)
         relative = self.evaluate(points).relative.max(axis=1)
         return float(relative.max()), points[int(np.argmax(relative))]
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """(p,) bool: operating points (p, 3) at which it has something to say."""
+        """(p,) bool: operating points (p, d) at which it has something to say."""
+        points = self.region.complete(points)
         inside = self.region.holds(points)
         if self.border is not None:
             inside &= self.border.side(np.nan_to_num(points, nan=1.0)) >= 0
@@ -246,18 +206,26 @@ class Surrogate:
         """Models of the device, or of what it is below the border."""
         return self.pieces[0].models
 
+    def fixed(self, **values: float) -> Surrogate:
+        """The same device with these values of its parameters, where the sweeps vary them: ``fixed(k_pp=0.08)``.
+
+        Raises
+        ------
+        SurrogateError
+            If one of them is no axis of the sweeps, or lies outside of what was swept.
+        """
+        return replace(self, region=self.region.fixed(values)) if values else self
+
     def check_inside(self, point: Sequence[float], name: str) -> None:
-        """Refuse an operating point (3,) outside the region, in the name of what asked for it."""
-        at = np.asarray(point, dtype=float)
-        if not self.region.holds(at[None])[0]:
-            raise SurrogateError(f"{name}: {_outside(at, self.region)}")
-        self._check_gap(at[None])
+        """Refuse an operating point outside the region, in the name of what asked for it."""
+        try:
+            self._inside(np.asarray(point, dtype=float))
+        except SurrogateError as error:
+            raise SurrogateError(f"{name}: {error}") from None
 
     def _inside(self, points: np.ndarray) -> np.ndarray:
-        points = np.atleast_2d(np.asarray(points, dtype=float))
-        outside = np.flatnonzero(~self.region.holds(points))
-        if len(outside):
-            raise SurrogateError(_outside(points[outside[0]], self.region))
+        points = self.region.complete(points)
+        self.region.check(points)
         self._check_gap(points)
         return points
 
@@ -292,12 +260,6 @@ class Chosen(NamedTuple):
     shapes: tuple[tuple[Shape, ...], ...] = ()
 
 
-def name_of(point: Sequence[float] | np.ndarray) -> str:
-    """Name of an operating point in a predicted table."""
-    p, q, v = point
-    return f"p{p:g}_q{q:g}_v{v:g}"
-
-
 def build_surrogate(
     responses: Sequence[FrequencyResponse],
     chosen: Chosen | None = None,
@@ -323,13 +285,14 @@ def build_surrogate(
         If there are too few operating points, two fundamentals, no common frequencies, or points on a line of the
         region that leave a direction unseen.
     """
-    points = _points_of(responses)
-    region = region or Region(points.min(axis=0), points.max(axis=0))
-    scale = _scale_of(points, region)
+    parameters = parameters_of(responses)
+    points = points_of(responses, parameters)
+    region = region or Region(points.min(axis=0), points.max(axis=0), parameters)
+    scale = scale_of(points, region)
     nu_hz, data, noise = _data_of(responses, scale.unit(points))
     guarded = region.samples(64)
     if chosen is None:
-        chosen = Chosen(find_border(points, data, scale.unit(guarded), noise))
+        chosen = Chosen(find_border(points, data, scale.unit(guarded), noise, parameters))
     sides = [np.ones(len(points), dtype=bool)]
     if chosen.border is not None:
         sides = [chosen.border.side(points) == number for number in (0, 1)]
@@ -353,7 +316,7 @@ def build_surrogate(
 
 
 def _unit_of(border: Border | None, number: int, points: np.ndarray, scale: Scale) -> np.ndarray:
-    """Of points (p, 3) of the region those on one side of the border, in the unit box."""
+    """Of points (p, d) of the region those on one side of the border, in the unit box."""
     own = points if border is None else points[border.side(points) == number]
     return scale.unit(own if len(own) else points)
 
@@ -371,55 +334,6 @@ def _piece(
 
 
 # From a table --------------------------------------------------------------------------------------------------------
-
-
-def _currents(points: np.ndarray) -> np.ndarray:
-    """(p, 3) i_d = P/V, i_q = -Q/V (MW and Mvar over pu) and V (pu)."""
-    p, q, v = points.T
-    return np.stack([p / v, -q / v, v], axis=1)
-
-
-def _points_of(responses: Sequence[FrequencyResponse]) -> np.ndarray:
-    if len(responses) < LEAST_SWEEPS:
-        raise SurrogateError(
-            f"the table holds {len(responses)} of the at least {LEAST_SWEEPS} operating points that a surrogate needs: "
-            "sweep more of them"
-        )
-    if len({response.f1_hz for response in responses}) > 1:
-        raise SurrogateError("the table holds several fundamentals; a surrogate is of one device at one fundamental")
-    points = np.array([[_value(response, axis) for axis in AXES] for response in responses])
-    if len(np.unique(points, axis=0)) < len(points):
-        raise SurrogateError("an operating point is there twice: two devices, or one that was swept again; keep one")
-    return points
-
-
-def _value(response: FrequencyResponse, axis: str) -> float:
-    """A set-point; |v_pcc| that a grid decided is taken as it was measured."""
-    value = response.meta.get(axis)
-    if value is None and axis == "terminal_voltage_pu":
-        value = response.meta.get("fundamental", {}).get("voltage_pu")
-    if value is None and axis == "reactive_power_mvar":
-        return 0.0
-    if value is None or not np.isfinite(value):
-        raise SurrogateError(f"{response.meta.get('op_id')}: the table does not say its {axis}")
-    return float(value)
-
-
-def _scale_of(points: np.ndarray, region: Region) -> Scale:
-    axes = tuple(int(axis) for axis in np.flatnonzero(region.varies))
-    if not axes:
-        raise SurrogateError("all operating points are the same: there is nothing to interpolate between")
-    x = _currents(points)[:, axes]
-    low, high = x.min(axis=0), x.max(axis=0)
-    scale = Scale(axes, (low + high) / 2.0, (high - low) / 2.0)
-    asked = (points[:, axes] - region.low[list(axes)]) / (region.high - region.low)[list(axes)]
-    spread = np.linalg.svd(asked - asked.mean(axis=0), compute_uv=False)
-    if spread[-1] < 1e-3 * spread[0]:
-        raise SurrogateError(
-            "the operating points lie on a line of the region: what happens beside it cannot be told; sweep points "
-            f"that vary {' and '.join(AXES[axis] for axis in axes)} independently"
-        )
-    return scale
 
 
 def _data_of(responses: Sequence[FrequencyResponse], x: np.ndarray) -> tuple[np.ndarray, Data, np.ndarray | None]:
@@ -473,16 +387,6 @@ def _common_facts(responses: Sequence[FrequencyResponse]) -> dict[str, Any]:
     known = [float(b) for b in bounds if b is not None]
     bound = max(known) if len(known) == len(bounds) else None
     return {"stable_on": {**facts[0], "growth_bound_per_s": bound}}
-
-
-def _outside(point: np.ndarray, region: Region) -> str:
-    for axis, value, low, high in zip(AXES, point, region.low, region.high, strict=True):
-        if not low <= value <= high:
-            return (
-                f"{axis} = {value:g} is outside the swept region, {low:g} to {high:g}: a surrogate says nothing there; "
-                "sweep operating points beyond it"
-            )
-    return "the operating point is outside the swept region"
 
 
 __all__ = ["AXES", "Evaluation", "Index", "Region", "Surrogate", "SurrogateError", "build_surrogate", "name_of"]

@@ -63,5 +63,5 @@ class Following:
 
     def _nowhere(self, op: int) -> FrequencyResponse:
         """A response that carries the dispatch's name and nothing to judge."""
-        response = self.surrogate.response(self.surrogate.points[0])
+        response = self.surrogate.response(self.surrogate.samples(2)[0])
         return FrequencyResponse(response.f_hz, response.y, response.f1_hz, meta={"op_id": self.names[op]})

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -33,17 +33,36 @@ Power = Annotated[
     ),
 ]
 
+Parameter = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--parameter", metavar="NAME=VALUE", help="Value of a parameter that a surrogate was swept over; repeatable."
+    ),
+]
+
 
 def is_surrogate(table: Table) -> bool:
     """Whether the file was written as a surrogate, to be asked between its operating points."""
     return bool(table.meta.get("surrogate"))
 
 
-def model_of(table: Table) -> Surrogate:
-    """The surrogate of a table."""
+def model_of(table: Table, parameters: Sequence[str] | None = None) -> Surrogate:
+    """The surrogate of a table, with the values that parameters were given."""
     from ...identify.surrogate.store import surrogate_of
 
-    return surrogate_of(table)
+    return surrogate_of(table).fixed(**dict(map(named_value, parameters or ())))
+
+
+def named_value(text: str) -> tuple[str, float]:
+    """NAME=VALUE, as ``--parameter`` and ``--at`` take it."""
+    name, _, value = text.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = float("nan")
+    if not name or not isfinite(number):
+        raise WrongInput(f"{text!r}: needed is NAME=VALUE with a number, such as k_pp=0.08")
+    return name.strip(), number
 
 
 def powers_of(texts: Sequence[str] | None, model: Surrogate) -> list[tuple[float, float]]:
@@ -63,12 +82,20 @@ def _power(text: str) -> tuple[float, float]:
     return values[0], values[1] if len(values) == 2 else 0.0
 
 
-def check_unasked(table: Table, power: Sequence[str] | None, source_voltage: float | None) -> None:
-    """Refuse what only a surrogate can answer."""
-    if power or source_voltage is not None:
-        raise WrongInput(
-            "--power and --source-voltage ask a surrogate: write one with seqsweep surrogate TABLE.parquet -o FILE"
-        )
+class Asked(NamedTuple):
+    """What is asked of a surrogate besides the grid: dispatches, the voltage behind the grid, values of parameters."""
+
+    power: Sequence[str] | None
+    source_voltage: float | None
+    parameters: Sequence[str] | None
+
+    def check_unasked(self) -> None:
+        """Refuse what only a surrogate can answer."""
+        if self.power or self.source_voltage is not None or self.parameters:
+            raise WrongInput(
+                "--power, --source-voltage and --parameter ask a surrogate: write one with "
+                "seqsweep surrogate TABLE.parquet -o FILE"
+            )
 
 
 def situation_of(model: Surrogate, name: str, grid: Grid, source_voltage: float | None) -> Situation:
@@ -78,7 +105,7 @@ def situation_of(model: Surrogate, name: str, grid: Grid, source_voltage: float 
     return Situation(name, grid, source_voltage, model.meta["bases"].get("rated_voltage_v"))
 
 
-def on_grid(table: Table, power: Sequence[str] | None, grid: Grid, source_voltage: float | None) -> Table:
+def on_grid(table: Table, grid: Grid, asked: Asked) -> Table:
     """The table that tuning reads: the device at each dispatch, as the surrogate has it on this grid.
 
     A dispatch that the grid cannot carry within the region is told and left out.
@@ -86,10 +113,10 @@ def on_grid(table: Table, power: Sequence[str] | None, grid: Grid, source_voltag
     from ...plant.errors import SeqsweepError
     from ...tuning.region.loadflow import predicted_on
 
-    model = model_of(table)
-    situation = situation_of(model, grid.label, grid, source_voltage)
+    model = model_of(table, asked.parameters)
+    situation = situation_of(model, grid.label, grid, asked.source_voltage)
     responses, lost = [], []
-    for each in powers_of(power, model):
+    for each in powers_of(asked.power, model):
         try:
             responses.append(predicted_on(model, each, situation))
         except SeqsweepError as error:
@@ -118,18 +145,18 @@ def situations(model: Surrogate, grid: str, source_voltage: float | None) -> lis
 
 
 def tune_worst(
-    table: Table, grid: str, least: Least, margin: float, source_voltage: float | None, sweeps: int, jobs: int
+    table: Table, grid: str, least: Least, margin: float, asked: Asked, sweeps: int, jobs: int
 ) -> tuple[TuningResult, str]:
     """The worst operating point over the region, confirmed by sweeps, and what is to be said of it."""
     from ...tuning.region.worst import Worst, worst_of_bank
     from ...tuning.result import TuningResult
     from ..worst import confirmed_worst, predicted_worst, sweeping
 
-    model = model_of(table)
-    grids = situations(model, grid, source_voltage)
+    model, values = model_of(table), dict(map(named_value, asked.parameters or ()))
+    grids = situations(model, grid, asked.source_voltage)
 
     def search(surrogate: Surrogate) -> Worst:
-        return worst_of_bank(surrogate, grids, least, margin)
+        return worst_of_bank(surrogate.fixed(**values), grids, least, margin)
 
     if sweeps == 0:
         found = predicted_worst(model, search)
@@ -139,21 +166,24 @@ def tune_worst(
             usable,
             model.region,
             search,
-            sweeping(table.meta["configuration"], jobs),
+            sweeping(table.meta["configuration"], jobs, model.region.parameters),
             bases=table.meta.get("bases"),
             most=sweeps,
             say=remark,
         )
     provenance: dict[str, Any] = {"table_sha256": table.meta["sha256"], "least": least}
-    return TuningResult(found.worst.situation.grid, margin, (found.tuning,), provenance), _told(found, len(grids))
+    words = _told(found, len(grids), model.region.parameters)
+    return TuningResult(found.worst.situation.grid, margin, (found.tuning,), provenance), words
 
 
-def _told(found: ConfirmedWorst, n_grids: int) -> str:
+def _told(found: ConfirmedWorst, n_grids: int, parameters: Sequence[str]) -> str:
+    from ...identify.surrogate.region import told
+
     worst = found.worst
-    where = ", ".join(f"{value:.4g}" for value in worst.point)
+    where = told(worst.point, parameters)
     over = worst.situation.name if n_grids == 1 else f"{worst.situation.name}, the worst of {n_grids} grids"
     lines = [
-        f"worst operating point by {worst.least}: (P, Q, |v|) = ({where}) on {over}",
+        f"worst operating point by {worst.least}: {where} on {over}",
         f"{worst.n_points} operating points were scanned.",
         _swept(found),
     ]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .anywhere import Power, SourceVoltage, check_unasked, is_surrogate, model_of, powers_of
+from .anywhere import Asked, Parameter, Power, SourceVoltage, is_surrogate, model_of, powers_of
 from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
 from .telling import columns, remark, result
 
@@ -39,6 +39,7 @@ def judge(
     ] = 5,
     power: Power = None,
     source_voltage: SourceVoltage = None,
+    parameter: Parameter = None,
     stable_on: StableOn = None,
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="HZ-HZ", help="Leave these rows out, such as 50-70; repeatable.")
@@ -62,17 +63,17 @@ def judge(
     responses: Sequence[FrequencyResponse] | Following = swept
     names: Sequence[object] = [response.meta.get("op_id") for response in swept]
     if is_surrogate(content):
-        model = model_of(content)
+        model = model_of(content, parameter)
         responses = Following(model, tuple(powers_of(power, model)), source_voltage)
         names = responses.names
     else:
-        check_unasked(content, power, source_voltage)
+        Asked(power, source_voltage, parameter).check_unasked()
     bank = read_bank(grids, table)
     entries = bank.entries
     for text in bank.remarks:
         remark(text)
     check_single(bank, content.meta["f1_hz"])
-    digest = f"{content.meta['sha256']} {stable_on} {exclude} {names} {source_voltage}"
+    digest = f"{content.meta['sha256']} {stable_on} {exclude} {names} {source_voltage}" + "".join(parameter or ())
     verdicts = judge_bank(
         responses,
         content.meta.get("bases", {}),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .anywhere import Power, SourceVoltage, check_unasked, is_surrogate, on_grid, tune_worst
+from .anywhere import Asked, Parameter, Power, SourceVoltage, is_surrogate, on_grid, tune_worst
 from .shared import (
     NOT_ALL_OK,
     CampaignFile,
@@ -59,6 +59,7 @@ def tune(
     sweeps: Annotated[int, typer.Option(min=0, help="Sweeps to confirm the worst point; 0: none.")] = 4,
     power: Power = None,
     source_voltage: SourceVoltage = None,
+    parameter: Parameter = None,
     jobs: Annotated[int, typer.Option(min=1, help="Workers of --confirm and --worst.")] = os.cpu_count() or 1,
     force: Force = False,
 ) -> None:
@@ -72,15 +73,15 @@ def tune(
     check_outputs(output, force, plot, ".json")
     scales = _scales(scale)
     content = as_told(read_table(table), stable_on, exclude or ())
-    told = ""
+    told, asked = "", Asked(power, source_voltage, parameter)
     if worst:
-        found, told = tune_worst(content, grid, _least(least), margin, source_voltage, sweeps, jobs)
+        found, told = tune_worst(content, grid, _least(least), margin, asked, sweeps, jobs)
     else:
         on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
         if is_surrogate(content) and on != "own":
-            content = on_grid(content, power, on, source_voltage)
+            content = on_grid(content, on, asked)
         else:
-            check_unasked(content, power, source_voltage)
+            asked.check_unasked()
         found = judge(content, on, margin=margin, op_ids=op, scales=scales)
     if confirm:
         from ..confirm import confirm as confirm_gain

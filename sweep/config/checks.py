@@ -92,7 +92,7 @@ def _field_problems(error: ValidationError) -> list[Problem]:
     return [problem for problem, _ in found if not (problem.keys in suggested and problem.text.startswith("missing"))]
 
 
-_BRANCHES = ("constrained-float", "literal['auto']")
+_BRANCHES = ("constrained-float", "literal['auto']", "float", "tuple[float, float]")
 """What pydantic adds to the place of a value that may be of two kinds."""
 
 
@@ -181,14 +181,24 @@ def _region(region: Any, data: Mapping[str, Any]) -> Iterator[Problem]:
         yield Problem(("operating_point",), text)
     if not isinstance(region, Mapping):
         return
-    ranges = {key: value for key, value in region.items() if isinstance(value, list | tuple) and len(value) == 2}
-    for key, (low, high) in ranges.items():
+    parameters = _section(region, "parameters")
+    ranges = {**_ranges(region, ()), **_ranges(parameters, ("parameters",))}
+    for keys, (low, high) in ranges.items():
         if _number(low) is not None and _number(high) is not None and not low < high:
             text = f"given {shown([low, high])}; needed: a range [low, high] with low < high, or one number"
-            yield Problem(("sweep", "operating_points", key), text)
+            yield Problem(("sweep", "operating_points", *keys), text)
     if not ranges:
         text = "no range in it; needed: [low, high] for at least one of active_power_mw, reactive_power_mvar, "
-        yield Problem(("sweep", "operating_points"), text + "terminal_voltage_pu")
+        yield Problem(("sweep", "operating_points"), text + "terminal_voltage_pu and parameters")
+    for name in sorted(set(parameters) & set(_section(_section(data, "plant"), "parameters"))):
+        text = "given in [plant.parameters] as well; needed: only one of them"
+        yield Problem(("sweep", "operating_points", "parameters", name), text)
+
+
+def _ranges(values: Mapping[str, Any], keys: Keys) -> dict[Keys, Any]:
+    """What is given as [low, high], by its place below ``keys``."""
+    pairs = ((key, value) for key, value in values.items() if isinstance(value, list | tuple) and len(value) == 2)
+    return {(*keys, key): value for key, value in pairs}
 
 
 def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:

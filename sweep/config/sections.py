@@ -86,6 +86,10 @@ class OperatingPointsSection(_Section):
     active_power_mw: Range | Number = Field(description="a range [low, high] or a number, in MW")
     reactive_power_mvar: Range | Number = Field(default=0.0, description="a range [low, high] or a number, in Mvar")
     terminal_voltage_pu: Range | Number = Field(default=1.0, description="a range [low, high] or a number, in pu")
+    parameters: dict[str, Range | Number] | None = Field(
+        default=None,
+        description="a table { name = [low, high] } of the plant's parameters that are axes, or one number for each",
+    )
     tolerance: Annotated[Positive, Field(lt=1)] = Field(
         default=1e-3, description="a number between 0 and 1, the relative error of Y to certify over the region"
     )

@@ -8,8 +8,8 @@ region goes on where it was and ends with the same bytes.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,8 @@ import numpy as np
 
 from ...identify.response import FrequencyResponse
 from ...identify.surrogate.design import WIDER, Progress, first_points, gap_of, missed_by, next_point
-from ...identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
+from ...identify.surrogate.region import AXES, Region, name_of, told
+from ...identify.surrogate.surrogate import Surrogate, build_surrogate
 from ...identify.table.read import Table, read_table
 from ...identify.table.write import write_table
 from ...plant.errors import SeqsweepError
@@ -62,9 +63,12 @@ class _Swept:
 
 
 def region_of(asked: OperatingPointsSection) -> Region:
-    """The box that a campaign asks for, in the units of `AXES`."""
-    ends = np.array([np.broadcast_to(getattr(asked, axis), 2) for axis in AXES], dtype=float)
-    return Region(ends[:, 0], ends[:, 1])
+    """The box that a campaign asks for, in the units of `AXES`, and the parameters that are axes of it."""
+    parameters = asked.parameters or {}
+    names = tuple(sorted(parameters))
+    values = [*(getattr(asked, axis) for axis in AXES), *(parameters[name] for name in names)]
+    ends = np.array([np.broadcast_to(value, 2) for value in values], dtype=float)
+    return Region(ends[:, 0], ends[:, 1], names)
 
 
 def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str], None]) -> RegionOutcome:
@@ -91,30 +95,39 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
     region = region_of(asked)
     folder = output.with_name(output.name + ".rounds")
     folder.mkdir(exist_ok=True)
-    swept, points, pace = _Swept(), first_points(region, asked.seed), Pace()
+    pace = Pace()
+    swept = _with_rounds(_Swept(), config, region, first_points(region, asked.seed), folder, sweep)
     while True:
-        swept = _with_round(swept, config, points, folder, sweep)
         surrogate = build_surrogate(swept.useful, region=region)
         at, bar = next_point(surrogate, region)
         width, between = gap_of(surrogate)
         progress = Progress(bar, at if between is None else between, swept.missed, width)
         certified = progress.is_certified(asked.tolerance)
         pace.mark(len(swept.responses), bar)
-        told = _words(progress, surrogate, len(swept.responses), asked.tolerance)
-        say(told if certified else told + pace.left(asked.tolerance / WIDER))
+        words = _words(progress, surrogate, len(swept.responses), asked.tolerance)
+        say(words if certified else words + pace.left(asked.tolerance / WIDER))
         if certified or len(swept.responses) >= asked.most or pace.is_over(asked.most_minutes):
             break
-        swept, points = _predicted(swept, surrogate, config, progress.at, folder, sweep), np.zeros((0, 3))
+        swept = _predicted(swept, surrogate, config, progress.at, folder, sweep)
     write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))
     shutil.rmtree(folder)
     return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses), asked.tolerance)
 
 
-def _with_round(swept: _Swept, config: Config, points: np.ndarray, folder: Path, sweep: Sweep) -> _Swept:
-    """One table more; nothing where there are no points to sweep."""
-    if len(points) == 0:
-        return swept
-    table = _round(config, points, folder / f"{len(swept.tables):04d}.parquet", sweep)
+def _with_rounds(
+    swept: _Swept, config: Config, region: Region, points: np.ndarray, folder: Path, sweep: Sweep
+) -> _Swept:
+    """All ``points``: in one table, or where parameters differ, in a table each."""
+    for part in np.split(points, len(points)) if region.parameters else [points]:
+        swept = _with_round(swept, config, region, part, folder, sweep)
+    return swept
+
+
+def _with_round(
+    swept: _Swept, config: Config, region: Region, points: np.ndarray, folder: Path, sweep: Sweep
+) -> _Swept:
+    """One table more."""
+    table = _round(config, region, points, folder / f"{len(swept.tables):04d}.parquet", sweep)
     found = _Swept((*swept.tables, table), swept.missed)
     _refuse_lost(found.responses)
     return found
@@ -124,7 +137,7 @@ def _predicted(
     swept: _Swept, surrogate: Surrogate, config: Config, at: np.ndarray, folder: Path, sweep: Sweep
 ) -> _Swept:
     """Sweep ``at`` and hold the result against its prediction, made before."""
-    found = _with_round(swept, config, at[None], folder, sweep)
+    found = _with_round(swept, config, surrogate.region, at[None], folder, sweep)
     fresh = found.tables[-1].responses[0]
     if not surrogate.holds(at[None])[0]:  # in the gap of a jump nothing was predicted
         return found
@@ -132,13 +145,8 @@ def _predicted(
     return _Swept(found.tables, (*found.missed, missed))
 
 
-def _round(config: Config, points: np.ndarray, path: Path, sweep: Sweep) -> Table:
-    listed = [{"id": name_of(p), **{axis: float(v) for axis, v in zip(AXES, p, strict=True)}} for p in points]
-    plain = config.to_dict()
-    plain["sweep"].pop("operating_points")
-    if not np.any(points[:, 1]):
-        listed = [{key: value for key, value in point.items() if key != AXES[1]} for point in listed]
-    this = Config.from_dict({**plain, "operating_point": listed})
+def _round(config: Config, region: Region, points: np.ndarray, path: Path, sweep: Sweep) -> Table:
+    this = listed(config.to_dict(), points, region.parameters)
     if not path.exists():
         sweep(this, path)
     table = read_table(path)
@@ -146,7 +154,29 @@ def _round(config: Config, points: np.ndarray, path: Path, sweep: Sweep) -> Tabl
         raise RegionError(
             f"{path.parent}: rounds of another campaign are in the way; --force discards them, or choose another output"
         )
-    return table
+    return _with_parameters(table, dict(zip(region.parameters, map(float, points[0, 3:]), strict=True)))
+
+
+def listed(configuration: Mapping[str, Any], points: np.ndarray, parameters: Sequence[str]) -> Config:
+    """A campaign of these operating points (p, d) alone, with the one value of each parameter that they share."""
+    entries = [{"id": name_of(p, parameters), **dict(zip(AXES, map(float, p[:3]), strict=True))} for p in points]
+    if not np.any(points[:, 1]):
+        entries = [{key: value for key, value in point.items() if key != AXES[1]} for point in entries]
+    sweep = {key: value for key, value in configuration["sweep"].items() if key != "operating_points"}
+    plant = dict(configuration["plant"])
+    if parameters:
+        own = dict(zip(parameters, map(float, points[0, 3:]), strict=True))
+        plant["parameters"] = {**plant.get("parameters", {}), **own}
+    return Config.from_dict({**configuration, "plant": plant, "sweep": sweep, "operating_point": entries})
+
+
+def _with_parameters(table: Table, parameters: Mapping[str, float]) -> Table:
+    """The table whose operating points say which parameters they were swept with."""
+    if not parameters:
+        return table
+    responses = tuple(replace(r, meta={**r.meta, "parameters": dict(parameters)}) for r in table.responses)
+    points = [{**point, "parameters": dict(parameters)} for point in table.meta["operating_points"]]
+    return replace(table, responses=responses, meta={**table.meta, "operating_points": points})
 
 
 def _refuse_lost(responses: Sequence[FrequencyResponse]) -> None:
@@ -163,9 +193,13 @@ def _metadata(
 ) -> dict[str, Any]:
     """Metadata of the whole: every point of every round, the campaign as it was asked for, and the certificate."""
     first = swept.tables[0].meta
-    kept = {key: first[key] for key in ("f1_hz", "bases", "power_meaning", "plant")}
+    kept = {key: first[key] for key in ("f1_hz", "bases", "power_meaning")}
+    plant = first["plant"]
+    if asked.parameters:  # each operating point says its own
+        plant = {**plant, "parameters": dict(config.plant.parameters)}
     return {
         **kept,
+        "plant": plant,
         "operating_points": [point for table in swept.tables for point in table.meta["operating_points"]],
         "configuration": config.to_dict(),
         "region": {
@@ -191,8 +225,8 @@ def _each_status(responses: Sequence[FrequencyResponse]) -> Iterator[str]:
 
 
 def _words(progress: Progress, surrogate: Surrogate, n: int, tolerance: float) -> str:
-    where = ", ".join(f"{value:.4g}" for value in progress.at)
+    where = told(progress.at, surrogate.region.parameters)
     fresh = f"; the last fresh sweep was met within {progress.missed[-1]:.2g}" if progress.missed else ""
     jump = "" if surrogate.border is None else f"; the device changes between {surrogate.border}"
     bar = f"error bar {progress.largest_bar:.2g} of {tolerance:g}"
-    return f"{n} operating points: {bar} at (P, Q, |v|) = ({where}){fresh}{jump}"
+    return f"{n} operating points: {bar} at {where}{fresh}{jump}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...identify.surrogate.surrogate import AXES, Surrogate
+from ...identify.surrogate.surrogate import Surrogate
 from ...identify.views.style import DEVICE, QUIET, WARNING, new_figure, write_figure
 from ...tuning.region.worst import Worst
 
@@ -35,12 +35,18 @@ def map_figure(surrogate: Surrogate, worst: Worst | None) -> Figure:
     free = varying if worst is None else worst.free
     if worst is not None and len(free) == 1:
         _curve(axes, worst, free[0])
+        axes.set_xlabel(_label(surrogate, free[0]))
         return figure
     across, up = free[0], free[-1]
     _map(figure, axes, surrogate, worst, across, up)
-    axes.set_xlabel(LABELS[AXES[across]])
-    axes.set_ylabel(LABELS[AXES[up]])
+    axes.set_xlabel(_label(surrogate, across))
+    axes.set_ylabel(_label(surrogate, up))
     return figure
+
+
+def _label(surrogate: Surrogate, axis: int) -> str:
+    name = surrogate.region.axes[axis]
+    return LABELS.get(name, name)
 
 
 def _curve(axes: Axes, worst: Worst, axis: int) -> None:
@@ -50,7 +56,6 @@ def _curve(axes: Axes, worst: Worst, axis: int) -> None:
     axes.axhline(1.0, color=WARNING, linestyle="--", label="edge of stability")
     if (lowest := worst.tuning.margin_m) is not None:
         axes.plot(worst.point[axis], lowest, "*", color=WARNING, markersize=11, label="worst")
-    axes.set_xlabel(LABELS[AXES[axis]])
     axes.set_ylabel("Magnitude margin m")
     axes.legend(frameon=False)
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.surrogate.design import WIDTH, first_points
-from seqsweep.identify.surrogate.jumps import EVIDENCE, Border, Cut, _splits, _thinned
+from seqsweep.identify.surrogate.jumps import EVIDENCE, Border, Cut, _features, _splits, _thinned
 from seqsweep.identify.surrogate.partitions import evidence_of
+from seqsweep.identify.surrogate.region import scale_of
 from seqsweep.identify.surrogate.store import surrogate_of, write_surrogate
-from seqsweep.identify.surrogate.surrogate import AXES, SurrogateError, _data_of, _scale_of
+from seqsweep.identify.surrogate.surrogate import AXES, SurrogateError, _data_of
 from seqsweep.identify.table.read import read_table
 from seqsweep.identify.table.write import write_table
 from seqsweep.sweep.config.sections import Config
@@ -73,9 +74,9 @@ def test_of_all_splits_the_device_s_own_has_the_most_evidence_and_a_smooth_devic
 
 def splits_of(points, region, responses):
     """Splits with three sweeps or more on either side, and the evidence for each."""
-    _, data, noise = _data_of(responses, _scale_of(points, region).unit(points))
+    _, data, noise = _data_of(responses, scale_of(points, region).unit(points))
     few = _thinned(data, noise)
-    splits = _splits(points, 3)
+    splits = _splits(points, 3, _features(()))
     return splits, evidence_of(few.data, few.variance, splits)
 
 

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from ...identify.response import FrequencyResponse
-from ...identify.surrogate.surrogate import AXES, Surrogate
+from ...identify.surrogate.surrogate import Surrogate
 from ...plant.errors import SeqsweepError
 from ..siso import Grid
 
 _HALVINGS = 50
+_VOLTAGE = 2  # its place in an operating point
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class Situation:
     rated_voltage_v: float | None = None
 
     def place(self, surrogate: Surrogate, points: np.ndarray) -> np.ndarray:
-        """Operating points (p, 3) as they are on this grid: |v_pcc| by load flow, NaN where there is none."""
+        """Operating points (p, d) as they are on this grid: |v_pcc| by load flow, NaN where there is none."""
         if self.source_voltage_pu is None:
             return points
         if self.rated_voltage_v is None:
@@ -49,7 +50,7 @@ class Situation:
 def on_grid(
     surrogate: Surrogate, grid: Grid, points: np.ndarray, source_voltage_pu: float, rated_voltage_v: float
 ) -> np.ndarray:
-    """Operating points (p, 3) with |v_pcc| from the load flow of the surrogate's own terminal current.
+    """Operating points (p, d) with |v_pcc| from the load flow of the surrogate's own terminal current.
 
     Notes
     -----
@@ -71,16 +72,17 @@ def on_grid(
 
 
 def covering_on(surrogate: Surrogate, situation: Situation, n: int) -> np.ndarray:
-    """Operating points (p, 3) that cover what a grid with a known source makes of the region, its borders included.
+    """Operating points (p, d) that cover what a grid with a known source makes of the region, its borders included.
 
-    Powers on a lattice of about ``n`` points with their load flow, and the border where |v_pcc| is at an end of the
-    region: there one power follows from the others.
+    A lattice of about ``n`` powers, and parameters where they are axes, with their load flow; and the border where
+    |v_pcc| is at an end of the region: there one power follows from the others.
     """
     assert situation.source_voltage_pu is not None
-    axes = [int(a) for a in np.flatnonzero(surrogate.region.varies[:2])]
+    axes = [int(a) for a in np.flatnonzero(surrogate.region.varies) if a != _VOLTAGE]
     levels = max(2, round(n ** (1.0 / max(len(axes), 1))))
     lattice = _lattice(surrogate, axes, levels)
-    borders = [_border(surrogate, situation, axes, axis, end, 2 * levels) for axis in axes for end in (0, 1)]
+    powers = [axis for axis in axes if axis < _VOLTAGE]
+    borders = [_border(surrogate, situation, axes, axis, end, 2 * levels) for axis in powers for end in (0, 1)]
     return np.vstack([situation.place(surrogate, lattice), *borders])
 
 
@@ -121,7 +123,8 @@ def _border(
 def _source_excess(
     surrogate: Surrogate, points: np.ndarray, v_pu: np.ndarray, z: complex, source_pu: float, rated_v: float
 ) -> np.ndarray:
-    at = np.column_stack([points[:, :2], v_pu])
+    at = points.copy()
+    at[:, _VOLTAGE] = v_pu
     v = v_pu * rated_v
     return np.asarray(np.abs(v - z * np.sqrt(3.0) * surrogate.terminal_current(at)) - source_pu * rated_v)
 
@@ -155,7 +158,7 @@ def predicted_on(surrogate: Surrogate, power: Sequence[float], situation: Situat
             f"|v_pcc| lies between {low:g} and {high:g} pu; which it is follows from the grid: give --source-voltage"
         )
     surrogate.check_inside([*power, low], named(power))
-    point = situation.place(surrogate, np.array([[*power, low]]))
+    point = situation.place(surrogate, surrogate.region.complete(np.array([[*power, low]])))
     if not np.isfinite(point[0, 2]):
         raise SeqsweepError(
             f"{named(power)}: no operating point of the swept region exists on this grid: |v_pcc| would leave "
@@ -182,4 +185,4 @@ def _fundamental(surrogate: Surrogate, point: np.ndarray) -> dict[str, Any]:
     }
 
 
-__all__ = ["AXES", "Situation", "dispatches", "named", "on_grid", "predicted_on"]
+__all__ = ["Situation", "dispatches", "named", "on_grid", "predicted_on"]

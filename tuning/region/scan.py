@@ -39,7 +39,7 @@ class Scan(NamedTuple):
 
 
 def scan(surrogate: Surrogate, grid: Grid, points: np.ndarray) -> Scan:
-    """Margin, its lower bound and damping at operating points (p, 3) of the region on a grid."""
+    """Margin, its lower bound and damping at operating points (p, d) of the region on a grid."""
     found = surrogate.evaluate(points)
     nu_hz, n = surrogate.nu_hz, len(points)
     y = dq_to_pn(found.y)

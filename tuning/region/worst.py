@@ -45,23 +45,23 @@ class Worst:
 
     Attributes
     ----------
-    point : (3,) float
-        P (MW), Q (Mvar), |v| (pu).
+    point : (d,) float
+        P (MW), Q (Mvar), |v| (pu), and the values of parameters that are axes.
     situation : Situation
         The grid on which it is the worst.
     tuning : PointTuning
         Its judgement by the surrogate.
-    points : (p, 3) float
+    points : (p, d) float
         The covering on that grid.
     scanned : Scan
         What is known of every point of the covering.
     least : Least
         By what it was searched.
     free : tuple of int
-        Axes of `AXES` that were searched; |v| is not among them where a load flow decides it.
+        Axes of the region that were searched; |v| is not among them where a load flow decides it.
     lows : (q,) float
         The least lower bounds of m over all grids and points, at 95 %, rising; at most `LOWS`.
-    low_points : (q, 3) float
+    low_points : (q, d) float
         Where they stand.
     n_points : int
         Admissible points of all coverings.
