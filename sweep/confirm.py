@@ -65,10 +65,8 @@ def confirm(
     todo = [point for point in result.points if point.f_r_hz is not None]
     if not todo:
         raise ConfirmError("nothing to confirm: no operating point has a resonance to set the damping control to")
-    for point in todo:
-        virtual_impedance(point.grid, point.f_r_hz)
     swept = _resweeps(config, result.margin_required, jobs, report)
-    by_formula = [point for point in todo if point.k is not None]
+    by_formula = [point for point in todo if _is_the_formulas(point)]
     searches = _common_gain(by_formula, result.margin_required, lambda point, k: measured_margin(swept(point, k)))
     for point in by_formula:
         search = searches[_key(point)]
@@ -77,18 +75,42 @@ def confirm(
         else:
             result = confirmed(result, point, search, swept(point, search.k))
     for point in todo:
-        if point.k is None and point.verdict != "stable":
+        if _needs_a_sign(point):
             result = _signed(result, point, config, swept)
     return result
 
 
+def _is_the_formulas(point: PointTuning) -> bool:
+    """Whether there is a k to begin with, and the grid has an R and an L that it multiplies."""
+    return point.k is not None and not _capacitive(point)
+
+
+def _needs_a_sign(point: PointTuning) -> bool:
+    """Whether something is to be damped and the formula says nothing of it."""
+    return point.k is None and (point.verdict != "stable" or bool(point.no_k))
+
+
+def _capacitive(point: PointTuning) -> bool:
+    """Whether an entry's grid is capacitive at the frequency that damping control is set to."""
+    assert point.grid is not None
+    assert point.f_r_hz is not None
+    return bool(gain.why_capacitive(point.grid, point.f_r_hz))
+
+
 def _signed(result: TuningResult, point: PointTuning, config: Config, swept: Resweep) -> TuningResult:
     """The result with a gain of either sign on an impedance of its own, where the paper's formula says nothing."""
-    own = _own_impedance(config, point)
-    try:
-        search = search_signed(lambda k: growth_of(swept(point, k, own)))
-    except ConfirmError as refusal:
-        return defeated(result, point, str(refusal))
+    own, refusals = _own_impedance(config, point), []
+
+    def growth_at(k: float) -> float:
+        try:
+            return growth_of(swept(point, k, own))
+        except ConfirmError as refusal:  # of a gain that the device does not take, such as a negative one
+            refusals.append(str(refusal))
+            return float("inf")
+
+    search = search_signed(growth_at)
+    if refusals and not np.isfinite(search.growth_per_s):
+        return defeated(result, point, refusals[0])
     return confirmed_signed(result, point, search, own, swept(point, search.k, own))
 
 

@@ -13,6 +13,7 @@ from ..tuning.farm.farm import Farm
 from ..tuning.farm.levers import GainLever, PowerLever, check_power_lever
 from ..tuning.farm.restore import Advice, Demand, advise
 from ..tuning.farm.units import Library, Unit
+from ..tuning.gain import series_of
 from ..tuning.network.assembly import port_impedance
 from ..tuning.siso import SeriesRL
 from .confirm import ConfirmError, swept_damped
@@ -78,7 +79,7 @@ def virtual_impedance(farm: Farm) -> SeriesRL:
     z = port_impedance(entry.network, ports, np.array([2j * np.pi * entry.f1_hz]))[0]
     factors = np.array([unit.factor for unit in farm.units])
     seen = complex(factors @ (z @ factors) / factors.sum())
-    return SeriesRL(max(seen.real, 0.0), seen.imag, entry.f1_hz)
+    return series_of(seen, entry.f1_hz)
 
 
 def resonance_hz(farm: Farm) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -105,6 +106,59 @@ def gain_for_margin(m_now: float, m_required: float) -> float:
     if not m_required > 0.0:
         raise SeqsweepError(f"the required margin m is {m_required:g}; it must be positive, e.g. 1.4")
     return max(0.0, 1.0 - m_now / m_required)
+
+
+class FirstGain(NamedTuple):
+    """The gain by the formula.
+
+    Attributes
+    ----------
+    k : float or None
+        The gain; zero where none is due, None where none is proposed.
+    f_r_hz : float or None
+        Signed frequency of the component that damping control is set to (Hz).
+    margin_m : float or None
+        The m that it predicts; None if no crossing is left.
+    refused : str
+        Why none is proposed though the formula has one; empty otherwise.
+    note : str
+        Why damping control is not set to the resonance; empty where it is.
+    """
+
+    k: float | None
+    f_r_hz: float | None = None
+    margin_m: float | None = None
+    refused: str = ""
+    note: str = ""
+
+
+def first_gain(
+    admittance: Admittance, grid: Grid, m_now: float, m_required: float, f_r_hz: float, band_hz: tuple[float, float]
+) -> FirstGain:
+    """k by the formula, refused where damping control cannot be set so, or where it is predicted to make m no larger.
+
+    Parameters
+    ----------
+    admittance : callable
+        Frequencies (n,) in Hz to Ypn (n, 2, 2) in S, without damping.
+    grid : Grid
+        What k multiplies the R and L of.
+    m_now, m_required : float
+        Magnitude margin at the critical crossing, and the one that is asked for.
+    f_r_hz : float
+        Signed frequency of the resonance component the control is set to (Hz).
+    band_hz : (float, float)
+        Where crossings are looked for (Hz).
+    """
+    k = gain_for_margin(m_now, m_required)
+    capacitive = why_capacitive(grid, f_r_hz) if k > 0.0 else ""
+    if capacitive:
+        return FirstGain(None, f_r_hz, refused=capacitive)
+    after = predicted_crossing(admittance, grid, k, f_r_hz, band_hz)
+    if k > 0.0 and after is not None and after.m <= m_now:
+        worse = f"with the formula's k = {k:.3g}, set to {f_r_hz:.4g} Hz, m is predicted to go from {m_now:.3g} to "
+        return FirstGain(None, f_r_hz, refused=f"{worse}{after.m:.3g}, at {after.f_hz:.4g} Hz")
+    return FirstGain(k, f_r_hz, None if after is None else after.m)
 
 
 def notch(f_hz: np.ndarray, f1_hz: float) -> np.ndarray:
@@ -219,11 +273,36 @@ def virtual_impedance(grid: Grid, f_r_hz: float) -> SeriesRL:
     """
     if isinstance(grid, SeriesRL):
         return grid
+    capacitive = why_capacitive(grid, f_r_hz)
+    if capacitive:
+        raise SeqsweepError(capacitive)
     z = own_impedance(grid, f_r_hz)
-    x_ohm = z.imag * grid.f1_hz / f_r_hz
-    if not x_ohm > 0.0:
+    return SeriesRL(max(z.real, 0.0), z.imag * grid.f1_hz / f_r_hz, grid.f1_hz)
+
+
+def series_of(z_ohm: complex, f1_hz: float) -> SeriesRL:
+    """R and L that have ``z_ohm`` at f1, which is what a farm's devices see: their gains multiply it.
+
+    Raises
+    ------
+    SeqsweepError
+        If it is capacitive.
+    """
+    if not z_ohm.imag > 0.0:
         raise SeqsweepError(
-            f"damping control is set by an R and an L; at the resonance, {f_r_hz:.4g} Hz, the grid ({grid.label}) is "
-            f"capacitive ({z.real:.4g} {z.imag:+.4g}j ohm)"
+            "damping control is set by an R and an L, and what a device of the farm sees at f1, when all change their "
+            f"current in step, is capacitive ({z_ohm.real:.4g} {z_ohm.imag:+.4g}j ohm); [damping] of the farm file "
+            "can give r_ohm and x_ohm of its own"
         )
-    return SeriesRL(max(z.real, 0.0), x_ohm, grid.f1_hz)
+    return SeriesRL(max(z_ohm.real, 0.0), z_ohm.imag, f1_hz)
+
+
+def why_capacitive(grid: Grid, f_r_hz: float) -> str:
+    """In words that the grid is capacitive at the resonance (signed, Hz); empty where it is inductive."""
+    z = own_impedance(grid, f_r_hz)
+    if z.imag / f_r_hz > 0.0:
+        return ""
+    return (
+        f"at {f_r_hz:.4g} Hz the grid ({grid.label}) is capacitive ({z.real:.4g} {z.imag:+.4g}j ohm), and damping "
+        "control is set by an R and an L"
+    )

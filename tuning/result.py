@@ -68,6 +68,8 @@ class PointTuning:
         Damping gain: by the formula, or the confirmed one.
     f_r_hz : float or None
         Frequency the damping control is set to (Hz).
+    no_k : str
+        Why the formula's k is not proposed though there is one; empty otherwise.
     margin_m_predicted : float or None
         m with k if the whole device saw the reshaped voltage; a real one gives less.
     margin_m_with_k : float or None
@@ -98,6 +100,7 @@ class PointTuning:
     participation: Participation | None = None
     k: float | None = None
     f_r_hz: float | None = None
+    no_k: str = ""
     margin_m_predicted: float | None = None
     margin_m_with_k: float | None = None
     reached: bool | None = None
@@ -439,6 +442,8 @@ def _why_none(key: str, point: PointTuning) -> str:
         return point.reason
     if key in _GAIN and point.reached is None and point.stable_range is not None and point.stable_range.averse:
         return _AVERSE
+    if key in _GAIN and point.reached is None and point.no_k:
+        return point.no_k
     if key in ("k", "k_basis") and point.f_r_hz is not None:
         return _NO_FORMULA if point.reached is None else _NO_GAIN
     return _WHY.get(key, "not known for this device and grid")

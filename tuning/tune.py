@@ -17,7 +17,7 @@ from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError, place_of
 from .anchor import Anchor, anchor_of
-from .gain import gain_for_margin, predicted_crossing
+from .gain import FirstGain, first_gain
 from .grid_check import grid_warnings
 from .grids.in_time import grid_of_fact
 from .intervals import margin_interval, scale_interval
@@ -161,9 +161,10 @@ def _judged(
     ends = stable_range(model, grid)
     edge = ends.nearest
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
-    k, predicted = _gain(model, grid, stability, margin, None if part is None else part.f_hz)
-    if ends.averse or _not_the_formulas(device, stability):
-        k, predicted = None, None
+    gain = FirstGain(None)
+    if part is not None and not ends.averse and not _not_the_formulas(device, stability):
+        gain = _gain(model, grid, stability, margin, part.f_hz)
+    at_resonance = None if part is None else part.f_hz
     scr = None
     if edge is not None and {"rated_voltage_v", "rated_power_va"} <= set(bases):
         scr = critical_scr(edge, grid, bases["rated_voltage_v"], bases["rated_power_va"])
@@ -182,26 +183,52 @@ def _judged(
         critical_scr=scr,
         passivity=_least_passive(model),
         participation=part,
-        k=k,
-        f_r_hz=None if part is None else part.f_hz,
-        margin_m_predicted=predicted,
-        warnings=(*warnings, *model.notes, *_gain_warnings(stability, ends)),
+        k=gain.k,
+        f_r_hz=gain.f_r_hz or at_resonance,
+        margin_m_predicted=gain.margin_m,
+        no_k=_no_k(gain),
+        warnings=(*warnings, *model.notes, *_gain_warnings(stability, ends, gain)),
         grid=grid,
         response=response,
     )
 
 
-def _gain(
-    model: RationalModel, grid: Grid, stability: Stability, margin: float, f_r_hz: float | None
-) -> tuple[float | None, float | None]:
-    """k by the formula, and the m it predicts; k is zero where there is no crossing, None where nothing resonates."""
-    if f_r_hz is None:
-        return None, None
-    if stability.critical is None:
-        return 0.0, None
-    k = gain_for_margin(stability.critical.m, margin)
-    after = predicted_crossing(lambda f: evaluate_pn(model, f), grid, k, f_r_hz, swept_band(model))
-    return k, None if after is None else after.m
+def _gain(model: RationalModel, grid: Grid, stability: Stability, margin: float, f_r_hz: float) -> FirstGain:
+    """k by the formula, set to the resonance; where that does no good, to the mode of the critical crossing."""
+    critical = stability.critical
+    if critical is None:
+        return FirstGain(0.0, f_r_hz)
+
+    def set_to(f_hz: float) -> FirstGain:
+        return first_gain(lambda f: evaluate_pn(model, f), grid, critical.m, margin, f_hz, swept_band(model))
+
+    first, elsewhere = set_to(f_r_hz), _mode_of_crossing(model, grid, stability)
+    second = set_to(elsewhere) if first.refused and elsewhere is not None else first
+    if second.refused or second is first:
+        return first
+    where = f"damping control is set to {elsewhere:.4g} Hz, the mode of the critical crossing, and not to the resonance"
+    return second._replace(note=f"{where}: {first.refused}")
+
+
+def _mode_of_crossing(model: RationalModel, grid: Grid, stability: Stability) -> float | None:
+    """Stronger component (signed, Hz) of the closed-loop mode nearest to the critical crossing; None if there is none.
+
+    Where the resonance is one of the grid's own, m and k speak of another mode.
+    """
+    loop, critical = stability.closed_loop, stability.critical
+    poles = loop.poles[~loop.beyond & (loop.poles.imag > 0.0)]
+    if critical is None or not len(poles):
+        return None
+    nearest = int(np.argmin(np.abs(poles - 2j * np.pi * abs(critical.f_hz - model.f1_hz))))
+    return participation(model, grid, complex(poles[nearest])).f_hz
+
+
+def _no_k(gain: FirstGain) -> str:
+    """Why no k is proposed, in a sentence; empty where there is nothing to say."""
+    return f"no k is proposed: {gain.refused}; {_CONFIRM}" if gain.refused else ""
+
+
+_CONFIRM = "tune --confirm looks for a k on an inductance of its own, by sweeping again"
 
 
 def _not_the_formulas(device: Device, stability: Stability) -> bool:
@@ -216,8 +243,8 @@ def _is_elsewhere(stability: Stability) -> bool:
     return stability.verdict == "unstable" and (critical is None or critical.m >= 1.0)
 
 
-def _gain_warnings(stability: Stability, ends: StableRange) -> tuple[str, ...]:
-    """Why the formula proposes no k."""
+def _gain_warnings(stability: Stability, ends: StableRange, gain: FirstGain) -> tuple[str, ...]:
+    """Why no k is proposed."""
     critical = stability.critical
     if ends.averse and ends.low is not None:
         below = critical is not None and critical.m < 1.0 and stability.verdict == "stable"
@@ -229,7 +256,7 @@ def _gain_warnings(stability: Stability, ends: StableRange) -> tuple[str, ...]:
         )
     if _is_elsewhere(stability):
         return ("the instability is not at the critical crossing: the formula for k does not see it",)
-    return ()
+    return tuple(text for text in (_no_k(gain), gain.note) if text)
 
 
 def _least_passive(model: RationalModel) -> tuple[float, float]:

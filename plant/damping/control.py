@@ -60,6 +60,10 @@ def notch(f_hz: np.ndarray, f1_hz: float = 50.0) -> np.ndarray:
     return (s**2 + w0**2) / (s**2 + 2.0 * NOTCH_XI * w0 * s + w0**2)
 
 
+THRESHOLD = 0.03
+"""Ratio of the resonance over the fundamental that is worth acting on, if nothing else is set."""
+
+
 @dataclass(frozen=True, slots=True)
 class DampingSettings:
     """Damping control as it is set on site.
@@ -88,7 +92,7 @@ class DampingSettings:
     r_ohm: float
     l_h: float
     resonance_hz: float | None
-    threshold: float = 0.03
+    threshold: float = THRESHOLD
     delay_s: float = 0.15
     block_below_pu: float = 0.8
     estimator: Estimator = matrix_pencil

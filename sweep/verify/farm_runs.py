@@ -11,7 +11,7 @@ import numpy as np
 
 from ...plant.circuits.branches import Branch
 from ...plant.circuits.circuit import SOURCE, Circuit, scaled_branch
-from ...plant.damping.control import DampingSettings
+from ...plant.damping.control import THRESHOLD, DampingSettings
 from ...plant.damping.farm_events import (
     BusFault,
     DevicePower,
@@ -30,6 +30,7 @@ from ...tuning.farm.entries import DeviceEntry, FarmEntry
 from ...tuning.farm.farm import Farm, judged
 from ...tuning.farm.loadflow import load_flow
 from ...tuning.farm.units import Library
+from ...tuning.gain import series_of
 from ...tuning.network.assembly import Network, port_impedance
 from ...tuning.siso import SeriesRL
 from .farm_story import FarmFault, FarmPower, FarmStory, FarmSwitch, SourceStep, check_name
@@ -231,7 +232,7 @@ def seen_in_step(entry: FarmEntry) -> SeriesRL:
     z = port_impedance(entry.network, [d.bus for d in entry.devices], np.array([2j * np.pi * entry.f1_hz]))[0]
     sizes = np.array([device.rating * device.count for device in entry.devices])
     seen = complex(sizes @ (z @ sizes) / sizes.sum())
-    return SeriesRL(max(seen.real, 0.0), seen.imag, entry.f1_hz)
+    return series_of(seen, entry.f1_hz)
 
 
 # ---------------------------------------------------------------------- stages
@@ -374,6 +375,6 @@ def _run(title: str, farm: Together, scenario: FarmScenario, control: FarmContro
         found = simulate_farm(farm, scenario, control, story.duration_s)
     except NotSettled as refusal:
         raise VerifyError(f"the farm has no state to begin from: {in_words(refusal)}") from None
-    line = report(found.line, scenario.events, 0.03)
-    devices = tuple(report(each, scenario.events, 0.03) for each in found.devices)
+    line = report(found.line, scenario.events, THRESHOLD)
+    devices = tuple(report(each, scenario.events, THRESHOLD) for each in found.devices)
     return FarmRun(title, found, line, devices)

@@ -5,6 +5,7 @@ matplotlib is imported when a figure is made.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -67,18 +68,16 @@ def panels(figure: Figure) -> np.ndarray:
 
 def draw(axes: np.ndarray, result: Verification) -> None:
     """Draw power, resonance current, r(t) and frequency of both runs into axes (4,), and name their figure."""
-    curves = (
-        Curve("without damping control", result.without, _WITHOUT),
-        Curve(f"with damping control, k = {result.settings.k:.3g}", result.damped, _WITH),
-    )
+    curves = tuple(_curves(result))
+    last = curves[-1].trajectory
     draw_power(axes[0], curves)
     draw_resonance_current(axes[1], curves)
-    draw_ratio(axes[2], curves, result.settings.threshold)
+    draw_ratio(axes[2], curves, result.threshold)
     draw_frequency(axes[3], curves)
     for each in axes:
-        mark_times(each, result.scenario.events, result.damped, named=each is axes[0])
+        mark_times(each, result.scenario.events, last, named=each is axes[0])
     for each in axes[2:]:
-        mark_unknown(each, result.damped)
+        mark_unknown(each, last)
     axes[3].set_xlabel("t (s)")
     axes[3].set_xlim(0.0, result.duration_s)
     handles, labels = axes[0].get_legend_handles_labels()
@@ -90,6 +89,12 @@ def draw(axes: np.ndarray, result: Verification) -> None:
         rf"tuned grid {z.real:.3g} + j{z.imag:.3g} $\Omega$",
         fontsize=10,
     )
+
+
+def _curves(result: Verification) -> Iterable[Curve]:
+    yield Curve("without damping control", result.without, _WITHOUT)
+    if result.damped is not None and result.settings is not None:
+        yield Curve(f"with damping control, k = {result.settings.k:.3g}", result.damped, _WITH)
 
 
 def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,14 @@ from .reading import RunReport, WindowReport
 from .runs import Verification
 
 FORMAT = "seqsweep-verification"
-VERSION = "1.0.0"
+VERSION = "1.1.0"
 
 SCHEMA_FILE = Path(__file__).parents[1] / "schema" / "seqsweep-verification-1.schema.json"
 """JSON schema of what `verify` writes."""
+
+
+_RUNS = ("without", "with")
+_SETTINGS = ("k", "r_ohm", "l_h", "resonance_hz", "threshold", "delay_s")
 
 
 def to_json(result: Verification) -> dict[str, Any]:
@@ -27,7 +31,6 @@ def to_json(result: Verification) -> dict[str, Any]:
     from importlib.metadata import version
 
     tuned, scenario, settings = result.tuned, result.scenario, result.settings
-    names = ("without", "with")
     content: dict[str, Any] = plain(
         {
             "format": FORMAT,
@@ -42,15 +45,8 @@ def to_json(result: Verification) -> dict[str, Any]:
                 "duration_s": result.duration_s,
                 "events": [_event_json(event) for event in scenario.events],
             },
-            "damping": {
-                "k": settings.k,
-                "r_ohm": settings.r_ohm,
-                "l_h": settings.l_h,
-                "resonance_hz": settings.resonance_hz,
-                "threshold": settings.threshold,
-                "delay_s": settings.delay_s,
-            },
-            "runs": {name: asdict(each) for name, each in zip(names, result.reports, strict=True)},
+            "damping": None if settings is None else {key: getattr(settings, key) for key in _SETTINGS},
+            "runs": {name: asdict(each) for name, each in zip(_RUNS, result.reports, strict=False)},
             "remarks": list(result.remarks),
         }
     )
@@ -81,23 +77,23 @@ def plain(value: Any) -> Any:
 
 def format_report(result: Verification, width: int = 80) -> str:
     """Both runs as plain text: what was asked, how each went, and the windows side by side."""
-    without, damped = result.reports
+    runs = result.reports
     lines = [*wrapped(_headline(result), width), *wrapped(_damping_line(result), width), ""]
-    lines += columns_of([("", "without", "with"), *_facts(without, damped, result.settings.threshold)])
+    lines += columns_of([("", *_RUNS[: len(runs)]), *_facts(runs, result.threshold)])
     lines += ["", *wrapped("windows of 150 ms: frequencies, r of the stronger one, its growth, power", width)]
-    lines += columns_of([_WINDOW_HEAD, *_window_rows(without, damped)], gap=" " if width < 100 else "  ")
+    head = ("t (s)", *_beside([_WINDOW_HEAD] * len(runs)))
+    lines += columns_of([head, *_window_rows(runs)], gap=" " if width < 100 else "  ")
     lines += [line for remark in result.remarks for line in ("", *wrapped(f"note: {remark}", width))]
     return "\n".join(lines)
 
 
 def as_html(result: Verification) -> str:
     """How both runs went as a small HTML table, for a notebook."""
-    without, damped = result.reports
-    facts = _facts(without, damped, result.settings.threshold)
-    return html_table(_headline(result), ("", "without damping control", "with"), facts)
+    facts = _facts(result.reports, result.threshold)
+    return html_table(_headline(result), ("", "without damping control", "with")[: len(result.reports) + 1], facts)
 
 
-_WINDOW_HEAD = ("t (s)", "Hz", "r", "1/s", "MW", "|", "Hz", "r", "1/s", "MW")
+_WINDOW_HEAD = ("Hz", "r", "1/s", "MW")
 
 
 def _headline(result: Verification) -> str:
@@ -112,6 +108,8 @@ def _headline(result: Verification) -> str:
 
 def _damping_line(result: Verification) -> str:
     settings = result.settings
+    if settings is None:
+        return "damping control: none"
     return f"damping control: k = {settings.k:.4g} for the tuned grid, set to {settings.resonance_hz:.4g} Hz"
 
 
@@ -127,9 +125,9 @@ def _in_words(event: Event) -> str:
     return f"{event.active_power_w / 1e6:.4g} MW at {event.time_s:g} s"  # type: ignore[union-attr]
 
 
-def _facts(without: RunReport, damped: RunReport, threshold: float) -> list[tuple[str, ...]]:
+def _facts(runs: Sequence[RunReport], threshold: float) -> list[tuple[str, ...]]:
     def both(name: str, text: Callable[[RunReport], str]) -> tuple[str, ...]:
-        return name, text(without), text(damped)
+        return (name, *map(text, runs))
 
     return [
         both("outcome", lambda run: run.outcome),
@@ -143,11 +141,17 @@ def _facts(without: RunReport, damped: RunReport, threshold: float) -> list[tupl
     ]
 
 
-def _window_rows(without: RunReport, damped: RunReport) -> list[tuple[str, ...]]:
-    rows = []
-    for left, right in zip(without.windows, damped.windows, strict=False):
-        rows.append((f"{left.from_s:.2f}-{left.to_s:.2f}", *_window_cells(left), "|", *_window_cells(right)))
-    return rows
+def _window_rows(runs: Sequence[RunReport]) -> list[tuple[str, ...]]:
+    """The windows of all runs, side by side."""
+    return [
+        (f"{windows[0].from_s:.2f}-{windows[0].to_s:.2f}", *_beside([_window_cells(window) for window in windows]))
+        for windows in zip(*[run.windows for run in runs], strict=False)
+    ]
+
+
+def _beside(cells: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Cells of one run after those of another, with a bar between."""
+    return tuple(cell for each in cells for cell in ("|", *each))[1:]
 
 
 def _window_cells(window: WindowReport) -> tuple[str, ...]:

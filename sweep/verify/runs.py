@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...plant.damping.control import DampingSettings
+from ...plant.damping.control import THRESHOLD, DampingSettings
 from ...plant.damping.events import Scenario, Trajectory, conditions_at, simulate, source_of
 from ...plant.errors import SeqsweepError, in_words
 from ...plant.protocol import Conditions, MeasuredPlant, NotSettled, OperatingPoint, Plant
@@ -20,7 +20,7 @@ from ...tuning.grids.elements import CircuitGrid
 from ...tuning.siso import Grid, SeriesRL
 from .reading import RunReport, report
 from .scenario import Story
-from .tuned import Tuned, VerifyError, scenario_of, settings_of
+from .tuned import Tuned, VerifyError, scenario_of, settings_of, why_undamped
 
 if TYPE_CHECKING:
     from ...identify.response import FrequencyResponse
@@ -30,16 +30,24 @@ CauseGone = Callable[[Conditions], bool]
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Verification:
-    """Both runs; ``remarks`` say what the reader should know. Printed, it is the report of ``seqsweep verify``."""
+    """Both runs; ``remarks`` say what the reader should know. Printed, it is the report of ``seqsweep verify``.
+
+    ``settings`` and ``damped`` are None, and there is one report, where there is no damping control to simulate.
+    """
 
     tuned: Tuned
     scenario: Scenario
-    settings: DampingSettings
+    settings: DampingSettings | None
     duration_s: float
     without: Trajectory
-    damped: Trajectory
-    reports: tuple[RunReport, RunReport]
+    damped: Trajectory | None
+    reports: tuple[RunReport, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def threshold(self) -> float:
+        """Ratio of the resonance over the fundamental above which it counts."""
+        return THRESHOLD if self.settings is None else self.settings.threshold
 
     def __repr__(self) -> str:
         from .report import format_report
@@ -78,7 +86,7 @@ def _grid_of(conditions: Conditions, f1_hz: float) -> Grid:
 
 
 def verify(tuned: Tuned, story: Story | None = None, cause_gone: CauseGone | None = None) -> Verification:
-    """Drive the device through the story without and with damping control.
+    """Drive the device through the story without and with damping control; without alone where there is no gain.
 
     Parameters
     ----------
@@ -101,16 +109,20 @@ def verify(tuned: Tuned, story: Story | None = None, cause_gone: CauseGone | Non
 def compare(
     tuned: Tuned,
     scenario: Scenario,
-    settings: DampingSettings,
+    settings: DampingSettings | None,
     duration_s: float,
     cause_gone: CauseGone | None = None,
 ) -> Verification:
     """Both runs of a scenario, reported."""
     without = _driven("without", tuned.plant, scenario, None, duration_s)
-    damped = _driven("with", tuned.plant, scenario, settings, duration_s, cause_gone)
-    reports = tuple(report(trajectory, scenario.events, settings.threshold) for trajectory in (without, damped))
+    damped, threshold = None, THRESHOLD
+    if settings is not None:
+        damped = _driven("with", tuned.plant, scenario, settings, duration_s, cause_gone)
+        threshold = settings.threshold
+    driven = (without,) if damped is None else (without, damped)
+    reports = tuple(report(trajectory, scenario.events, threshold) for trajectory in driven)
     remarks = tuple(_remarks(tuned, scenario, duration_s, without))
-    return Verification(tuned, scenario, settings, duration_s, without, damped, reports, remarks)  # type: ignore[arg-type]
+    return Verification(tuned, scenario, settings, duration_s, without, damped, reports, remarks)
 
 
 def _driven(
@@ -155,7 +167,10 @@ def _remarks(tuned: Tuned, scenario: Scenario, duration_s: float, without: Traje
             "no operating point that carries this power was found on the grid after the events: where there is none, "
             "no control can find one"
         )
-    if tuned.k == 0.0:
+    undamped = why_undamped(tuned)
+    if undamped:
+        yield f"simulated without damping control alone: {undamped}"
+    elif tuned.k == 0.0:
         yield "k is 0: the tuning asks for no damping, both runs are the same"
     first = min((event.time_s for event in scenario.events), default=duration_s)
     before = without.ratio[without.decision_s <= first]

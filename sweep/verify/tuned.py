@@ -17,7 +17,7 @@ from ...plant.errors import SeqsweepError, place_of
 from ...plant.protocol import MeasuredPlant, NotSettled, OperatingPoint, Plant, reactance_to_inductance
 from ...plant.registry import make_plant
 from ...plant.space_vectors import LINE_RMS
-from ...tuning.gain import virtual_impedance
+from ...tuning.gain import virtual_impedance, why_capacitive
 from ...tuning.grids.elements import elements_grid
 from ...tuning.grids.in_time import circuit_of_grid
 from ...tuning.siso import Grid, SeriesRL
@@ -34,7 +34,7 @@ class Tuned:
     """What verification needs of a tuning: the grid, scale included, and the damping control for it.
 
     ``plant`` is the card of a device that a child process has driven: enough for a report. ``impedance`` is what k
-    multiplies; None: the grid.
+    multiplies; None: the grid. ``k`` and ``f_r_hz`` are None where there is no damping control; ``no_k`` says why.
     """
 
     op_id: str
@@ -43,10 +43,11 @@ class Tuned:
     active_power_w: float
     terminal_voltage_v: float | None
     source_voltage_v: float | None
-    k: float
-    f_r_hz: float
+    k: float | None
+    f_r_hz: float | None
     reactive_power_var: float = 0.0
     impedance: SeriesRL | None = None
+    no_k: str = ""
 
 
 def read_tuning(path: str | Path) -> dict[str, Any]:
@@ -83,7 +84,7 @@ def tuned_of(
     Raises
     ------
     VerifyError
-        If there is no such operating point, no campaign, no gain, or the device has no measurement port.
+        If there is no such operating point, no campaign, or the device has no measurement port.
     """
     from ..config.sections import Config
 
@@ -91,8 +92,6 @@ def tuned_of(
     configuration = content["provenance"]["table"].get("configuration", {})
     if "plant" not in configuration:
         raise VerifyError("the tuning names no campaign to drive: recordings and imports cannot be verified in time")
-    if point["k"] is None or point["f_r_hz"] is None:
-        raise VerifyError(f"{point['op_id']} has no k to verify: {point['reason']}")
     config = Config.from_dict(configuration)
     plant = plant or make_plant(config.plant.id, config.plant.parameters)
     if not isinstance(plant, MeasuredPlant):
@@ -111,7 +110,15 @@ def tuned_of(
         f_r_hz=point["f_r_hz"],
         reactive_power_var=(section.reactive_power_mvar or 0.0) * 1e6,
         impedance=None if own is None else SeriesRL(own["r_ohm"], own["x_ohm"], own["f1_hz"]),
+        no_k=_why_no_k(point),
     )
+
+
+def _why_no_k(point: Mapping[str, Any]) -> str:
+    """Why an entry of a tuning has no gain; empty where it has one."""
+    if point["k"] is not None and point["f_r_hz"] is not None:
+        return ""
+    return str(point.get("missing", {}).get("k") or point["reason"])
 
 
 def scenario_of(tuned: Tuned, story: Story) -> Scenario:
@@ -152,8 +159,17 @@ def scenario_of_voltage(tuned: Tuned, voltage_v: float) -> Scenario:
     )
 
 
-def settings_of(tuned: Tuned) -> DampingSettings:
-    """Damping control as it was tuned."""
+def why_undamped(tuned: Tuned) -> str:
+    """Why no damping control is simulated: the tuning has no gain, or the grid no R and L for it; empty where it is."""
+    if tuned.k is None or tuned.f_r_hz is None:
+        return tuned.no_k
+    return "" if tuned.impedance is not None else why_capacitive(tuned.grid, tuned.f_r_hz)
+
+
+def settings_of(tuned: Tuned) -> DampingSettings | None:
+    """Damping control as it was tuned; None where there is none, see `why_undamped`."""
+    if tuned.k is None or tuned.f_r_hz is None or why_undamped(tuned):
+        return None
     behind = tuned.impedance or virtual_impedance(tuned.grid, tuned.f_r_hz)
     return DampingSettings(tuned.k, behind.r_ohm, behind.l_h, resonance_hz=tuned.f_r_hz, f1_hz=tuned.plant.f1_hz)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,6 +203,14 @@ def test_line_and_filter_are_switched_in_time(tuning, swept):
     assert without.largest_ratio > 2.0 * damped.last_ratio
     assert damped.started_s
     assert to_json(result)["scenario"]["events"][0]["what"] == "line with x_ohm = 0.31"
+
+
+def test_behind_a_capacitive_grid_the_device_is_driven_without_damping_control(tuning):
+    """Set to 3 Hz, where the series capacitor outweighs the line: the gain has no R and L to multiply."""
+    tuned = replace(tuned_of(tuning), f_r_hz=3.0)
+    result = verify(tuned, story_of({**STORY, "duration_s": 0.3}))
+    assert result.damped is None
+    assert any("without damping control alone: at 3 Hz the grid" in text for text in result.remarks)
 
 
 def test_after_the_last_switch_the_grid_is_what_is_left(tuning):

@@ -187,6 +187,21 @@ def test_command_line_writes_everything_and_ends_with_zero(folder, tmp_path, mon
     assert (tmp_path / "verify.svg").exists()
 
 
+def test_a_tuning_without_a_gain_is_driven_without_damping_control(folder, tmp_path):
+    content = read_tuning(folder / "tuning.json")
+    content["operating_points"][0].update(k=None, missing={"k": "the grid is too odd"})
+    done = verify(tuned_of(content, "weak"), Story(duration_s=0.3))
+    printed = " ".join(format_report(done).split())
+    assert "damping control: none" in printed
+    assert "note: simulated without damping control alone: the grid is too odd" in printed
+    as_json = to_json(done)
+    jsonschema.validate(as_json, json.loads(SCHEMA_FILE.read_text()))
+    assert as_json["damping"] is None
+    assert list(as_json["runs"]) == ["without"]
+    plot(done, tmp_path / "alone.svg")
+    assert done._repr_html_().count("<th") == 2
+
+
 # ---------------------------------------------------------------- refusals
 
 
@@ -194,7 +209,6 @@ def test_command_line_writes_everything_and_ends_with_zero(folder, tmp_path, mon
     ("change", "words"),
     [
         (lambda c: c["provenance"]["table"].pop("configuration"), "recordings and imports cannot be verified"),
-        (lambda c: c["operating_points"][0].update(k=None), "weak has no k to verify"),
         (lambda c: c["provenance"]["table"]["configuration"]["plant"].update(id="branch-v1"), "branch-v1 has no mea"),
         (lambda c: c.pop("worst"), "not a tuning result"),
     ],

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jsonschema
@@ -21,9 +22,11 @@ from seqsweep.identify.table.read import read_table
 from seqsweep.identify.table.write import write_table
 from seqsweep.identify.views import style
 from seqsweep.tuning.figures import bode_figure, locus_figure, plot_result, pole_figure, result_figure
-from seqsweep.tuning.gain import gain_for_margin, notch, reshaped, search_gain
+from seqsweep.tuning.gain import first_gain, gain_for_margin, notch, predicted_crossing, reshaped, search_gain
 from seqsweep.tuning.grid_check import grid_warnings, power_limits_w, source_voltage_v
-from seqsweep.tuning.result import TuningResult, confirmed, schema, to_json, write_json
+from seqsweep.tuning.grids.elements import elements_grid
+from seqsweep.tuning.grids.open import open_grid
+from seqsweep.tuning.result import PointTuning, TuningResult, confirmed, schema, to_json, write_json
 from seqsweep.tuning.siso import SeriesRL, parse_grid, siso
 from seqsweep.tuning.text import format_table
 from seqsweep.tuning.tune import tune, tune_point
@@ -313,6 +316,53 @@ def test_prediction_gains_at_most_k(result: TuningResult) -> None:
     assert point.margin_m is not None
     assert point.margin_m_predicted is not None
     assert point.margin_m < point.margin_m_predicted < point.margin_m + point.k < 1.4
+
+
+def judged_on(elements: list[dict]) -> PointTuning:
+    return tune_point(on_grid(0.65e6), elements_grid({"element": elements}, F1_HZ))
+
+
+def test_no_k_is_proposed_where_the_grid_is_capacitive_at_the_mode() -> None:
+    """At 10 Hz the capacitor outweighs the line; no gain is due where m is large enough."""
+    grid = elements_grid({"element": COMPENSATED}, F1_HZ)
+    y = partial(evaluate_pn, fit_response(turbine()))
+    refused = first_gain(y, grid, 0.9, 1.4, 10.0, (1.0, 1000.0))
+    z = COMPENSATED[0]["r_ohm"] + 1j * (0.2 * COMPENSATED[0]["x_ohm"] - 5.0 * COMPENSATED[1]["x_ohm"])
+    assert refused.k is None
+    assert f"is capacitive ({z.real:.4g} {z.imag:+.4g}j ohm)" in refused.refused
+    assert first_gain(y, grid, 1.5, 1.4, 10.0, (1.0, 1000.0)).k == 0.0
+
+
+def test_no_k_is_proposed_that_is_predicted_to_lower_m() -> None:
+    """The paper's formula on a compensated line with m far below one: with its k another crossing has a smaller m."""
+    point = judged_on(COMPENSATED)
+    assert point.critical_crossing is not None
+    k = gain_for_margin(point.critical_crossing.m, 1.4)
+    assert point.model is not None
+    assert point.grid is not None
+    y = partial(evaluate_pn, point.model)
+    after = predicted_crossing(y, point.grid, k, point.f_r_hz, (1.0, 1000.0))
+    assert after.m < point.margin_m < 1.0
+    assert point.k is None
+    assert f"m is predicted to go from {point.margin_m:.3g} to {after.m:.3g}" in point.no_k
+    assert point.no_k in point.warnings
+    assert to_json(TuningResult(point.grid, 1.4, (point,), {}))["operating_points"][0]["missing"]["k"] == point.no_k
+
+
+COMPENSATED = [
+    {"kind": "series", "r_ohm": 0.0317, "x_ohm": 0.4143},
+    {"kind": "series_capacitor", "x_ohm": 0.2316},
+]
+
+
+def test_damping_control_is_set_to_the_mode_that_m_speaks_of_where_the_resonance_is_the_grid_s() -> None:
+    """Of `examples/grids/long-line.toml` the least damped mode is the line's own, at 3.3 Hz, and capacitive."""
+    grid = open_grid(str(Path(__file__).parents[2] / "examples/grids/long-line.toml"), F1_HZ)
+    point = tune_point(turbine(0.65e6, U_V), grid)
+    assert point.resonance_hz[0] < 5.0
+    assert point.f_r_hz == pytest.approx(76.2, abs=0.5)
+    assert point.margin_m < point.margin_m_predicted
+    assert any("the mode of the critical crossing, and not to the resonance" in text for text in point.warnings)
 
 
 def test_damping_without_gain_changes_nothing() -> None:
