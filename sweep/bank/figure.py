@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,10 +41,11 @@ def _draw_map(axes: Axes, verdicts: Sequence[PairVerdict], grids: list[str], poi
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
+    row, column = _places(points), _places(grids)
     cells = np.full((len(points), len(grids)), np.nan)
     for v in verdicts:
         kind = v.verdict if v.status == "ok" else "failed"
-        cells[points.index(v.op_id), grids.index(v.grid_id)] = VERDICTS.index(kind)
+        cells[row[v.op_id], column[v.grid_id]] = VERDICTS.index(kind)
     axes.imshow(cells, aspect="auto", cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=3.5, interpolation="nearest")
     axes.set_yticks(range(len(points)), points)
     axes.set_ylabel("operating point")
@@ -55,14 +56,20 @@ def _draw_map(axes: Axes, verdicts: Sequence[PairVerdict], grids: list[str], poi
     axes.tick_params(top=False, right=False)
 
 
+def _places(names: Sequence[str]) -> dict[str, int]:
+    return {name: k for k, name in enumerate(names)}
+
+
 def _draw_damping(
     axes: Axes, verdicts: Sequence[PairVerdict], grids: list[str], points: list[str], f1_hz: float
 ) -> None:
-    known: list[Any] = [v for v in verdicts if v.re_rad_s is not None]
-    x = np.array([grids.index(v.grid_id) for v in known], dtype=float)
-    re = np.array([v.re_rad_s for v in known], dtype=float)
-    nu = np.array([abs(v.im_rad_s) / (2.0 * np.pi) for v in known], dtype=float)
-    std = np.array([v.re_std_rad_s or 0.0 for v in known], dtype=float)
+    column = _places(grids)
+    known = [
+        (column[v.grid_id], v.re_rad_s, abs(v.im_rad_s) / (2.0 * np.pi), v.re_std_rad_s or 0.0)
+        for v in verdicts
+        if v.re_rad_s is not None and v.im_rad_s is not None
+    ]
+    x, re, nu, std = np.array(known, dtype=float).reshape(-1, 4).T
     grid_lines(axes)
     axes.axhline(0.0, color=WARNING, linewidth=0.8)
     axes.errorbar(x, re, yerr=1.96 * std, fmt="none", ecolor=QUIET, elinewidth=0.6, zorder=1)

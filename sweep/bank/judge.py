@@ -2,7 +2,7 @@
 
 Each operating point is fitted once and judged on the whole bank, grid by grid. What is done is kept in
 ``OUTPUT.parts`` under a hash of the table, the grid and the options: the same command goes on where it was ended, and
-a grid that was changed is judged again.
+a grid that was changed is judged again. Nothing grows with the number of pairs but an index of theirs (`pairs`).
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
+from itertools import compress, groupby, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,12 +21,12 @@ import numpy as np
 
 from ...identify.response import FrequencyResponse
 from ...plant.errors import SeqsweepError
-from ...tuning.bank.edges import ElementEdge
 from ...tuning.bank.entries import BankEntry
 from ...tuning.bank.judgement import PairVerdict, judge_pair
 from ...tuning.tune import Device, fitted
 from ..run import shards
 from .following import Following
+from .pairs import PairFile, Pairs, from_text, to_text
 
 VERSION = "2"
 """Of the judgement: other numbers for the same pair are another version."""
@@ -63,7 +64,7 @@ def judge_bank(
     elements: int,
     discard: bool = False,
     report: Report = lambda done, total: None,
-) -> list[PairVerdict]:
+) -> Pairs:
     """Every operating point on every grid, worst first.
 
     Parameters
@@ -87,36 +88,36 @@ def judge_bank(
     report : callable
         Progress.
     """
-    chunks = list(_chunks(len(responses), entries, digest))
+    names = _names(responses)
+    chunks = partial(_chunks, len(responses), entries, [_mark(entry) for entry in entries], digest)
+    pairs = PairFile(None if output is None else output.parent, [entry.grid_id for entry in entries], names)
     folder = None if output is None else shards.folder_of(output)
     with nullcontext() if folder is None else shards.locked(folder):
         if folder is not None and not discard:
-            _refuse_strangers(folder, chunks)
-        done = {} if folder is None else {c.key: found for c in chunks if (found := _kept(folder, c.key)) is not None}
-        total, finished = len(responses) * len(entries), sum(len(found) for found in done.values())
-        report(finished, total)
-        for key, found in _missing(responses, bases, [c for c in chunks if c.key not in done], jobs):
+            _refuse_strangers(folder, chunks())
+        total, done = len(responses) * len(entries), bytearray(_is_kept(folder, chunk, pairs) for chunk in chunks())
+        report(len(pairs), total)
+        todo = compress(chunks(), (not kept for kept in done))
+        for key, found in _judged_chunks(responses, bases, todo, min(jobs, done.count(0))):
             if folder is not None:
-                shards.keep(folder, key, json.dumps([_plain(v) for v in found]))
-            done[key] = found
-            finished += len(found)
-            report(finished, total)
-    verdicts = sorted((v for chunk in chunks for v in done[chunk.key]), key=severity)
-    return _with_elements(responses, bases, entries, verdicts, elements)
+                shards.keep(folder, key, to_text(found))
+            pairs.add(found)
+            report(len(pairs), total)
+    return _with_elements(responses, bases, entries, pairs.worst_first(), elements)
 
 
-def severity(verdict: PairVerdict) -> tuple[int, float, str, str]:
-    """Order of the report: unstable, undecided, failed, stable; the least damped first."""
-    order = {"unstable": 0, "undecided": 1, "stable": 3}[verdict.verdict] if verdict.status == "ok" else 2
-    worth = -np.inf if verdict.re_rad_s is None else -verdict.re_rad_s
-    return order, float(worth), verdict.grid_id, verdict.op_id
+def _is_kept(folder: Path | None, chunk: Chunk, pairs: PairFile) -> bool:
+    """Whether a chunk was judged before; its pairs are put to the others then."""
+    text = None if folder is None else shards.kept(folder, chunk.key)
+    if text is not None:
+        pairs.add(from_text(text))
+    return text is not None
 
 
 # Chunks --------------------------------------------------------------------------------------------------------------
 
 
-def _chunks(n_points: int, entries: Sequence[BankEntry], digest: str) -> Iterator[Chunk]:
-    marks = [_mark(entry) for entry in entries]
+def _chunks(n_points: int, entries: Sequence[BankEntry], marks: Sequence[str], digest: str) -> Iterator[Chunk]:
     for op in range(n_points):
         for first in range(0, len(entries), CHUNK):
             part = slice(first, first + CHUNK)
@@ -139,30 +140,29 @@ def _mark(entry: BankEntry) -> str:
     return content.hexdigest()
 
 
-def _refuse_strangers(folder: Path, chunks: Sequence[Chunk]) -> None:
-    strangers = shards.keys(folder) - {chunk.key for chunk in chunks}
-    if strangers and not shards.keys(folder) & {chunk.key for chunk in chunks}:
+def _refuse_strangers(folder: Path, chunks: Iterator[Chunk]) -> None:
+    there = shards.keys(folder)
+    if there and not any(chunk.key in there for chunk in chunks):
         raise JudgeError(
             f"{folder} holds unfinished work of another table, bank or version: judge that one again to finish it, or "
             "give --force to discard it"
         )
 
 
-def _missing(
-    responses: Sequence[FrequencyResponse] | Following, bases: Mapping[str, Any], chunks: Sequence[Chunk], jobs: int
+def _judged_chunks(
+    responses: Sequence[FrequencyResponse] | Following, bases: Mapping[str, Any], chunks: Iterator[Chunk], jobs: int
 ) -> Iterator[tuple[str, list[PairVerdict]]]:
-    """(key, verdicts) of chunks that are not kept yet, as they come."""
-    if not chunks:
-        return
-    devices = {op: _device_of(responses, op) for op in sorted({chunk.op for chunk in chunks})}
-    if jobs == 1 or len(chunks) == 1:
-        for chunk in chunks:
-            yield _judged(devices[chunk.op], chunk, bases)
+    """(key, verdicts) of chunks, as they come; each operating point is fitted when its first chunk is due."""
+    of_point = groupby(chunks, key=lambda chunk: chunk.op)
+    work = ((device, chunk) for op, of in of_point for device in (_device_of(responses, op),) for chunk in of)
+    if jobs <= 1:
+        for device, chunk in work:
+            yield _judged(device, chunk, bases)
         return
     from joblib import Parallel, delayed
 
-    work = (delayed(_judged)(devices[chunk.op], chunk, bases) for chunk in chunks)
-    yield from Parallel(n_jobs=min(jobs, len(chunks)), return_as="generator_unordered")(work)
+    tasks = (delayed(_judged)(device, chunk, bases) for device, chunk in work)
+    yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks)
 
 
 def _device_of(responses: Sequence[FrequencyResponse] | Following, op: int) -> DeviceOn:
@@ -191,41 +191,17 @@ def _with_elements(
     responses: Sequence[FrequencyResponse] | Following,
     bases: Mapping[str, Any],
     entries: Sequence[BankEntry],
-    verdicts: list[PairVerdict],
+    pairs: Pairs,
     most: int,
-) -> list[PairVerdict]:
+) -> Pairs:
     """The worst pairs with the critical value of each element."""
     by_id = {entry.grid_id: entry for entry in entries}
-    worst = [v for v in verdicts if v.status == "ok"][:most]
+    worst = list(islice(((k, v) for k, v in enumerate(pairs) if v.status == "ok"), most))
     names = _names(responses)
-    devices = {v.op_id: _device_of(responses, names.index(v.op_id)) for v in worst}
-    found = {
-        (v.grid_id, v.op_id): judge_pair(
-            devices[v.op_id](by_id[v.grid_id]), by_id[v.grid_id], bases, elements=True
-        ).elements
-        for v in worst
-    }
-    return [replace(v, elements=found.get((v.grid_id, v.op_id), v.elements)) for v in verdicts]
+    devices = {v.op_id: _device_of(responses, names.index(v.op_id)) for _, v in worst}
 
+    def with_elements(v: PairVerdict) -> PairVerdict:
+        entry = by_id[v.grid_id]
+        return replace(v, elements=judge_pair(devices[v.op_id](entry), entry, bases, elements=True).elements)
 
-# Shards --------------------------------------------------------------------------------------------------------------
-
-
-def _plain(verdict: PairVerdict) -> dict[str, Any]:
-    return asdict(verdict)
-
-
-def _kept(folder: Path, key: str) -> list[PairVerdict] | None:
-    text = shards.kept(folder, key)
-    if text is None:
-        return None
-    return [_verdict(values) for values in json.loads(text)]
-
-
-def _verdict(values: dict[str, Any]) -> PairVerdict:
-    elements = tuple(ElementEdge(*each) for each in values.pop("elements"))
-    missing = values.pop("missing_hz")
-    warnings = tuple(values.pop("warnings"))
-    return PairVerdict(
-        **values, elements=elements, missing_hz=None if missing is None else tuple(missing), warnings=warnings
-    )
+    return pairs.replacing({k: with_elements(v) for k, v in worst})

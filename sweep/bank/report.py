@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 
@@ -35,25 +37,15 @@ def report_text(verdicts: Sequence[PairVerdict], f1_hz: float, width: int) -> st
 
 def summary(verdicts: Sequence[PairVerdict], f1_hz: float) -> str:
     """``Stable on 398 of 400 grids ...``, and the weakest pair."""
-    grids = {v.grid_id for v in verdicts}
-    points = {v.op_id for v in verdicts}
-    by_grid = {g: [v for v in verdicts if v.grid_id == g] for g in grids} if len(points) > 1 else None
-    stable = (
-        sum(v.verdict == "stable" for v in verdicts)
-        if by_grid is None
-        else sum(all(v.verdict == "stable" for v in of) for of in by_grid.values())
-    )
-    counts = ", ".join(
-        f"{n} {name}"
-        for name, n in (
-            ("unstable", sum(v.verdict == "unstable" for v in verdicts)),
-            ("undecided", sum(v.verdict == "undecided" and v.status == "ok" for v in verdicts)),
-            ("not readable", sum(v.status != "ok" for v in verdicts)),
-        )
-        if n
-    )
+    stable_on, points, kinds = Counter[str](), set(), Counter[str]()
+    for v in verdicts:
+        stable_on[v.grid_id] += v.verdict == "stable"
+        points.add(v.op_id)
+        kinds[v.verdict if v.status == "ok" else "not readable"] += 1
+    stable = sum(count == len(verdicts) // len(stable_on) for count in stable_on.values())
+    counts = ", ".join(f"{kinds[name]} {name}" for name in ("unstable", "undecided", "not readable") if kinds[name])
     at = "" if len(points) == 1 else f" at all {len(points)} operating points"
-    text = f"Stable on {stable} of {len(grids)} grids{at}, each with a probability of {DECIDED:.0%} or more"
+    text = f"Stable on {stable} of {len(stable_on)} grids{at}, each with a probability of {DECIDED:.0%} or more"
     text += f"; of {len(verdicts)} pairs {counts}." if counts else "."
     weakest = next((v for v in verdicts if v.status == "ok" and v.re_rad_s is not None), None)
     if weakest is None:
@@ -97,13 +89,13 @@ def _row(v: PairVerdict, f1_hz: float) -> dict[str, str]:
 
 def _settling(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     """What would settle the undecided pairs."""
-    for v in [v for v in verdicts if v.status == "ok" and v.verdict == "undecided"][:3]:
+    for v in islice((v for v in verdicts if v.status == "ok" and v.verdict == "undecided"), 3):
         yield f"{v.grid_id} at {v.op_id} is undecided: {v.reason}"
 
 
 def _regions(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     """How far the edge is from regions as a whole; m, mode and scale are those of their member."""
-    for v in [v for v in verdicts if v.region_distance is not None][:3]:
+    for v in islice((v for v in verdicts if v.region_distance is not None), 3):
         text = _undecided_region(v) if v.verdict == "undecided" else _decided_region(v)
         yield f"{v.grid_id} at {v.op_id}, {text}"
 
@@ -136,11 +128,13 @@ def _edges(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
 
 def _warnings(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     """What the reader should know, remarks that differ in their numbers alone once, those of most pairs first."""
-    alike: dict[str, list[str]] = {}
+    alike, first = Counter[str](), dict[str, str]()
     for text in (text for v in verdicts for text in v.warnings):
-        alike.setdefault(re.sub(r"[-+]?[\d.]+(?:e[-+]?\d+)?", "#", text), []).append(text)
-    for texts in sorted(alike.values(), key=len, reverse=True)[:3]:
-        yield f"{len(texts)} of {len(verdicts)} pairs, such as: {texts[0]}"
+        kind = re.sub(r"[-+]?[\d.]+(?:e[-+]?\d+)?", "#", text)
+        alike[kind] += 1
+        first.setdefault(kind, text)
+    for kind, count in alike.most_common(3):
+        yield f"{count} of {len(verdicts)} pairs, such as: {first[kind]}"
 
 
 def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:

@@ -42,12 +42,15 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 """Every column: kind, unit, meaning."""
 
 
+ROW_GROUP = 4096
+"""Pairs that are in memory at a time, and in one row group of the file."""
+
+
 def write_judge(verdicts: Sequence[PairVerdict], f1_hz: float, path: Path, provenance: Mapping[str, Any]) -> None:
     """Write the pairs in the order given, atomically; the same pairs give the same bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    rows = [row_of(verdict, f1_hz) for verdict in verdicts]
     about = {"format": FORMAT, "version": VERSION, "f1_hz": f1_hz, "provenance": dict(provenance)}
     schema = pa.schema(
         [
@@ -56,9 +59,13 @@ def write_judge(verdicts: Sequence[PairVerdict], f1_hz: float, path: Path, prove
         ],
         metadata={"seqsweep": json.dumps(about, sort_keys=True)},
     )
-    table = pa.Table.from_pylist(rows, schema=schema)
-    with atomic_file(path) as file:
-        pq.write_table(table, file, compression="zstd", write_page_checksum=True)
+    with (
+        atomic_file(path) as file,
+        pq.ParquetWriter(file, schema, compression="zstd", write_page_checksum=True) as writer,
+    ):
+        for first in range(0, max(len(verdicts), 1), ROW_GROUP):
+            rows = [row_of(verdict, f1_hz) for verdict in verdicts[first : first + ROW_GROUP]]
+            writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
 def row_of(verdict: PairVerdict, f1_hz: float) -> dict[str, Any]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +13,14 @@ import pytest
 
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.write import write_table
-from seqsweep.sweep.bank.judge import CHUNK, judge_bank, severity
+from seqsweep.sweep.bank import table
+from seqsweep.sweep.bank.judge import CHUNK, judge_bank
+from seqsweep.sweep.bank.pairs import PairFile, severity
 from seqsweep.sweep.bank.report import report_text
-from seqsweep.sweep.bank.table import COLUMNS
+from seqsweep.sweep.bank.table import COLUMNS, write_judge
 from seqsweep.sweep.run import shards
 from seqsweep.tuning.bank.entries import bank_of
+from seqsweep.tuning.bank.judgement import PairVerdict
 from tests.support import oracle
 from tests.support.commands import command
 
@@ -82,10 +87,10 @@ def test_a_run_that_was_ended_goes_on_where_it_was_and_gives_the_same(bank: Path
         judged(interrupted)
     kept = shards.keys(shards.folder_of(output))
     assert len(kept) >= 1
-    resumed = judged(lambda done, total: told.append((done, total)))
+    resumed = list(judged(lambda done, total: told.append((done, total))))
     assert told[0][0] > 0
     assert told[-1] == (80, 80)
-    assert resumed == judged(lambda done, total: None, output=None)
+    assert resumed == list(judged(lambda done, total: None, output=None))
     assert resumed == sorted(resumed, key=severity)
 
 
@@ -164,3 +169,31 @@ def test_a_bank_that_is_none_ends_with_status_2(what: str, tmp_path: Path) -> No
     said = command("judge", table, "--grids", tmp_path / what)
     assert said.returncode == 2
     assert "Traceback" not in said.stderr
+
+
+def test_pairs_lie_on_the_disk_and_are_read_the_worst_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An index of 29 bytes is what a pair costs in memory; several row groups hold what was put, in order."""
+    monkeypatch.setattr(table, "ROW_GROUP", 400)
+    rng = np.random.default_rng(3)
+    grids, points = [f"grid {k}" for k in range(200)], ["a", "b", "c"]
+    kinds = [("ok", "stable"), ("ok", "unstable"), ("ok", "undecided"), ("failed", "undecided")]
+    file, expected = PairFile(tmp_path, grids, points), []
+    for op in points:
+        found = [
+            PairVerdict(grid, op, *kinds[rng.integers(4)], reason=300 * "x", re_rad_s=float(rng.integers(5)))
+            for grid in grids
+        ]
+        tracemalloc.start()
+        file.add(found)
+        assert tracemalloc.get_traced_memory()[0] < 1e4
+        tracemalloc.stop()
+        expected += found
+    pairs = file.worst_first()
+    assert list(pairs) == sorted(expected, key=severity)
+    assert pairs[-2:] == list(pairs)[-2:]
+    replaced = pairs.replacing({1: replace(pairs[1], reason="other")})
+    write_judge(replaced, F1_HZ, tmp_path / "judge.parquet", {})
+    written = pq.ParquetFile(tmp_path / "judge.parquet")
+    assert written.num_row_groups == 2
+    rows = written.read(columns=["grid_id", "op_id", "reason"]).to_pylist()
+    assert rows == [{name: getattr(v, name) for name in rows[0]} for v in replaced]
