@@ -7,6 +7,7 @@ threads, processes or other machines.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from ..plan import Batch, Plan
 from . import shards
 from .pilots import chosen, parts, pilots
 from .swept import Swept, batches_by_condition, response_of, responses_of, rows_of
-from .workers import RunError, Workers, results
+from .workers import Pool, RunError, Workers, pool
 
 __all__ = ["Interrupted", "Outcome", "RunError", "Runner", "response_of", "run", "sweep_in_memory"]
 
@@ -185,15 +186,19 @@ class Runner:
 
     def measure(self) -> Swept:
         """Every batch measured, or found in the store: pilots first where they are asked for, then all points."""
+        with pool(self.plan, self.plant, self.workers) as results:
+            return self._measure(results)
+
+    def _measure(self, results: Pool) -> Swept:
         plan = self.plan
-        batches_of = self._at_balanced_amplitudes() if plan.automatic else _at_one_amplitude(plan)
+        batches_of = self._at_balanced_amplitudes(results) if plan.automatic else _at_one_amplitude(plan)
         if plan.adaptive is not None:
-            return self._measure_in_rounds(batches_of)
+            return self._measure_in_rounds(results, batches_of)
         batches = batches_of(plan.points)
-        self.bring(batches, self.report)
+        self._bring(results, batches, self.report)
         return Swept(plan, self.plant, self.store, batches, {})
 
-    def bring(self, batches: Sequence[Batch], report: Report) -> None:
+    def _bring(self, results: Pool, batches: Sequence[Batch], report: Report) -> None:
         """Bring the result of every batch into the store."""
         total, work = sum(len(batch.points) for batch in batches), sum(_work(batch.points) for batch in batches)
         missing = [batch for batch in batches if self.store.read(batch) is None]
@@ -201,13 +206,14 @@ class Runner:
         left = sum(_work(batch.points) for batch in missing)
         self._tell(done, total - done)
         report(done, total, 1.0 - left / work)
-        for batch, result in results(self.plan, self.plant, missing, self.workers):
-            self.store.write(batch, result)
-            done += len(batch.points)
-            left -= _work(batch.points)
-            report(done, total, 1.0 - left / work)
+        with closing(results(missing)) as coming:
+            for batch, result in coming:
+                self.store.write(batch, result)
+                done += len(batch.points)
+                left -= _work(batch.points)
+                report(done, total, 1.0 - left / work)
 
-    def _measure_in_rounds(self, batches_of: BatchesOf) -> Swept:
+    def _measure_in_rounds(self, results: Pool, batches_of: BatchesOf) -> Swept:
         """The rounds of an adaptive grid, until its interpolation is certified, or its points are used up."""
         plan = self.plan
         assert plan.adaptive is not None
@@ -217,7 +223,8 @@ class Runner:
         decision: Decision | None = None
         while fresh:
             of_round, n_rounds = batches_of(fresh), n_rounds + 1
-            self.bring(of_round, _further(self.report, len(points) * n_conditions, asked.most_points * n_conditions))
+            further = _further(self.report, len(points) * n_conditions, asked.most_points * n_conditions)
+            self._bring(results, of_round, further)
             batches += of_round
             points += fresh
             responses = list(responses_of(plan, batches, self.store))
@@ -228,11 +235,11 @@ class Runner:
         certificates = {v.op_id: certificate(v, asked, plan.f1_hz, n_rounds) for v in decision.verdicts}
         return Swept(plan, self.plant, self.store, batches, certificates)
 
-    def _at_balanced_amplitudes(self) -> BatchesOf:
+    def _at_balanced_amplitudes(self, results: Pool) -> BatchesOf:
         """Sweep the pilots, and let them speak for every point."""
         plan, asked = self.plan, pilots(self.plan)
         steps = [list(part.batches()) for part in asked.plans]
-        self.bring([batch for step in steps for batch in step], _quiet)
+        self._bring(results, [batch for step in steps for batch in step], _quiet)
         ladder = [
             {op_id: rows_of(self.store, batches) for op_id, batches in batches_by_condition(plan, step).items()}
             for step in steps

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple, TypeVar
@@ -17,7 +17,7 @@ from ...plant.registry import PlantCard, releases_gil
 from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
 from ..plan import Batch, Hosting, Plan
-from .host import Say, host_at_hand, host_of, silent
+from .host import Measure, Say, host_at_hand, host_of, silent
 
 RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
@@ -57,29 +57,39 @@ class Workers(NamedTuple):
         return self.backend or ("threading" if plan.hosting.isolate or releases_gil(plant) else "loky")
 
 
-def results(
-    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], workers: Workers
-) -> Iterator[tuple[Batch, BatchResult]]:
-    """Results of batches as they come; a lost worker costs what it was at.
+Pool = Callable[[Sequence[Batch]], Generator[tuple[Batch, BatchResult], None, None]]
+"""Brings the results of batches as they come; a lost worker costs what it was at.
 
-    Raises
-    ------
-    OSError
-        If workers die again and again.
-    RunError
-        If the backend is not to be had.
-    """
-    left = {batch.key: batch for batch in batches}
-    for _ in range(1 + RESTARTS):
-        if not left:
-            return
-        try:
-            for key, result in _parallel(plan, plant, list(left.values()), workers):
-                yield left.pop(key), result
-        except _lost_workers(workers.backend_for(plan, plant)):
-            continue
-    if left:
-        raise OSError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left")
+Raises ``OSError`` if workers die again and again, `RunError` if the backend is not to be had.
+"""
+
+Asked = Callable[[Sequence[Batch]], Iterator[tuple[str, BatchResult]]]
+"""Batches to workers that may be lost: keys and results as they come."""
+
+
+@contextmanager
+def pool(plan: Plan, plant: Plant | PlantCard, workers: Workers) -> Iterator[Pool]:
+    """One `Pool` for all rounds of a campaign; its workers begin with the first batch, and go with the block."""
+    backend = workers.backend_for(plan, plant)
+    begun: list[Asked] = []
+    with ExitStack() as stack:
+
+        def results(batches: Sequence[Batch]) -> Generator[tuple[Batch, BatchResult], None, None]:
+            left = {batch.key: batch for batch in batches}
+            if left and not begun:
+                begun.append(stack.enter_context(_asking(plan, plant, workers, backend)))
+            for _ in range(1 + RESTARTS):
+                if not left:
+                    return
+                try:
+                    for key, result in begun[0](list(left.values())):
+                        yield left.pop(key), result
+                except _lost_workers(backend):
+                    continue
+            if left:
+                raise OSError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left")
+
+        yield results
 
 
 def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
@@ -95,28 +105,34 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
     return ()
 
 
-def _parallel(
-    plan: Plan, plant: Plant | PlantCard, batches: Sequence[Batch], workers: Workers
-) -> Iterator[tuple[str, BatchResult]]:
-    backend = workers.backend_for(plan, plant)
+@contextmanager
+def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str) -> Iterator[Asked]:
+    """The workers of a backend, for as long as they are needed."""
     if backend == "dask":
-        yield from _on_cluster(plan, batches, workers)
+        with _dask_client(workers.jobs, workers.scheduler) as client:
+            yield partial(_on_cluster, client, partial(_in_process, plan.hosting), workers.jobs)
     elif backend == "loky":
-        yield from _in_processes(partial(_in_child, plan.hosting), batches, workers.jobs)
+        yield partial(_in_processes, partial(_in_child, plan.hosting), workers.jobs)
     else:
         with host_at_hand(plant, plan.hosting).measuring(workers.jobs, workers.say) as measure:
-            bundles = _bundles(batches, workers.jobs, plant)
-            for keys, measured in _in_threads(lambda bundle: (_keys(bundle), measure(bundle)), bundles, workers.jobs):
-                yield from zip(keys, measured, strict=True)
+            yield partial(_in_bundles, measure, workers.jobs, isinstance(plant, PhasorPlant) and releases_gil(plant))
 
 
-def _bundles(batches: Sequence[Batch], jobs: int, plant: Plant | PlantCard) -> list[Sequence[Batch]]:
-    """What a thread takes at once: of a compiled plant several batches, where enough are left for all threads.
+def _in_bundles(
+    measure: Measure, jobs: int, compiled: bool, batches: Sequence[Batch]
+) -> Iterator[tuple[str, BatchResult]]:
+    """Batches to threads that share a host."""
+    bundles = _bundles(batches, jobs) if compiled else [[batch] for batch in batches]
+    for keys, measured in _in_threads(lambda bundle: (_keys(bundle), measure(bundle)), bundles, jobs):
+        yield from zip(keys, measured, strict=True)
+
+
+def _bundles(batches: Sequence[Batch], jobs: int) -> list[Sequence[Batch]]:
+    """What a thread takes at once of a compiled plant: several batches, where enough are left for all threads.
 
     The last shots of an operating point leave lanes idle; those of several fill them.
     """
-    compiled = isinstance(plant, PhasorPlant) and releases_gil(plant)
-    n = TOGETHER if compiled and len(batches) >= FEW * TOGETHER * jobs else 1
+    n = TOGETHER if len(batches) >= FEW * TOGETHER * jobs else 1
     return [batches[first : first + n] for first in range(0, len(batches), n)]
 
 
@@ -143,20 +159,20 @@ def _in_threads(work: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterat
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_processes(work: Work, batches: Sequence[Batch], jobs: int) -> Iterator[tuple[str, BatchResult]]:
+def _in_processes(work: Work, jobs: int, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
     from joblib import delayed, parallel_config
 
     with parallel_config(backend="loky", n_jobs=jobs):
-        yield from _pool()(delayed(work)(batch) for batch in batches)
+        yield from _joblib()(delayed(work)(batch) for batch in batches)
 
 
-def _pool() -> Any:
+def _joblib() -> Any:
     from joblib import Parallel
 
     return Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
 
 
-def _on_cluster(plan: Plan, batches: Sequence[Batch], workers: Workers) -> Iterator[tuple[str, BatchResult]]:
+def _on_cluster(client: Any, work: Work, jobs: int, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
     """Batches on a dask cluster; a scheduler that goes is a failure of the machine, and what was measured is kept.
 
     joblib takes a cluster of one slot for no cluster at all and would work in this process: such a one is asked
@@ -169,21 +185,17 @@ def _on_cluster(plan: Plan, batches: Sequence[Batch], workers: Workers) -> Itera
     from distributed.comm.core import CommClosedError
     from joblib import delayed, parallel_config
 
-    work = partial(_in_process, plan.hosting)
-    with _dask_client(workers.jobs, workers.scheduler) as client:
-        try:
-            if sum(client.nthreads().values()) == 1:
-                yield from _one_by_one(client, work, batches)
-            else:
-                with parallel_config(backend="dask", n_jobs=workers.jobs):
-                    yield from _pool()(delayed(work)(batch) for batch in batches)
-        except (CommClosedError, FutureCancelledError, CancelledError, Cancelled) as error:
-            raise OSError(f"the dask scheduler at {client.scheduler.address} is gone: {error or 'no answer'}") from None
+    try:
+        if sum(client.nthreads().values()) == 1:
+            yield from _one_by_one(client, work, batches)
+        else:
+            with parallel_config(backend="dask", n_jobs=jobs):
+                yield from _joblib()(delayed(work)(batch) for batch in batches)
+    except (CommClosedError, FutureCancelledError, CancelledError, Cancelled) as error:
+        raise OSError(f"the dask scheduler at {client.scheduler.address} is gone: {error or 'no answer'}") from None
 
 
-def _one_by_one(
-    client: Any, work: Callable[[Batch], Any], batches: Sequence[Batch]
-) -> Iterator[tuple[str, BatchResult]]:
+def _one_by_one(client: Any, work: Work, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
     from distributed import as_completed
 
     for future in as_completed([client.submit(work, batch, pure=False) for batch in batches]):

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,9 @@ from seqsweep.plant.protocol import Rating
 from seqsweep.plant.registry import PlantError, PlantSpec, card_of, is_black_box, make_plant, register, runs_isolated
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.planning import make_plan
+from seqsweep.sweep.run import campaign as campaign_of
 from seqsweep.sweep.run import child as children_of
+from seqsweep.sweep.run import host
 from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
 from seqsweep.sweep.run.host import plant_or_card
 
@@ -265,3 +268,32 @@ def test_check_survives_a_plant_that_does_not(tmp_path):
     done = call("check", "python:mortal:Plant", env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == 1
     assert done.stdout.startswith("FAIL  survives  the plant's process died: SIGABRT")
+
+
+def test_the_rounds_of_an_adaptive_sweep_share_their_children(tmp_path, monkeypatch):
+    begun, brought = [], []
+    real = campaign_of.pool
+
+    class Counted(Child):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            begun.append(self)
+
+    @contextmanager
+    def counting(*arguments):
+        with real(*arguments) as results:
+            yield lambda batches: brought.append(len(batches)) or results(batches)
+
+    monkeypatch.setattr(host, "Child", Counted)
+    monkeypatch.setattr(campaign_of, "pool", counting)
+    content = {
+        "campaign": {"name": "rounds"},
+        "plant": {"id": "branch-v1", "isolate": True},
+        "operating_point": [{"active_power_mw": 0.65, "terminal_voltage_pu": 1.0}],
+        "sweep": {"f_min_hz": 20.0, "f_max_hz": 900.0, "points": 40, "spacing": "adaptive"},
+    }
+    config = Config.from_dict(content)
+    card = plant_or_card(config)
+    campaign_of.run(make_plan(config, card), card, tmp_path / "y.parquet", jobs=1)
+    assert len([n for n in brought if n]) > 1
+    assert len(begun) == 1
