@@ -6,6 +6,9 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+WIDTH = 80
+"""Columns of what is printed where no terminal says how wide it is."""
+
 NARROWEST = 20
 """Columns below which nothing is folded any further."""
 

@@ -163,12 +163,13 @@ def _verify_farm(
     from ..verify.farm_report import format_report, to_json, write_json
     from ..verify.farm_runs import verify_farm
     from ..verify.farm_story import DEFAULT, read_farm_story
-    from .farm import library_beside, read_document
+    from .farm import library_beside, naming, read_document
 
     if any(option is not None for option in of_a_tuning):
         raise WrongInput("--table, --op and --scale go with a tuning; a farm file names its tables itself")
     story = DEFAULT if scenario is None else read_farm_story(scenario)
-    found = verify_farm(read_document(document), library_beside(document), story)
+    with naming(document):
+        found = verify_farm(read_document(document), library_beside(document), story)
     if output is not None:
         write_json(found, output)
     if plot is not None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -98,9 +100,21 @@ def _judged(document: Path, out: list[str]) -> tuple[Library, Farm]:
     from ...tuning.farm.document import farm_of
     from ...tuning.farm.farm import judged
 
-    entry = farm_of(read_document(document), out)
-    library = library_beside(document)
-    return library, judged(entry, library)
+    with naming(document):
+        entry = farm_of(read_document(document), out)
+        library = library_beside(document)
+        return library, judged(entry, library)
+
+
+@contextmanager
+def naming(document: Path) -> Iterator[None]:
+    """What a farm is refused for, with the name of its file."""
+    from ...tuning.farm.entries import FarmError
+
+    try:
+        yield
+    except FarmError as error:
+        raise WrongInput(f"{document}: {error}") from None
 
 
 def library_beside(document: Path) -> Library:
@@ -120,7 +134,8 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
     if not margin > 0.0:
         raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
     content = read_document(document)
-    found = judge_states(content, library_beside(document), out, margin, remark)
+    with naming(document):
+        found = judge_states(content, library_beside(document), out, margin, remark)
     result(lambda: states_text(found), lambda: states_json(str(content.get("name", "farm")), found))
     if output is not None:
         write_json(output, states_json(str(content.get("name", "farm")), found))

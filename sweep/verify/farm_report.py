@@ -79,11 +79,13 @@ def _short(title: str) -> str:
 
 
 def _headline(result: FarmVerification) -> str:
-    critical = result.farm.judgement.critical
-    mode = ""
+    critical = None if result.last is None else result.last.judgement.critical
+    mode = "; no operating point by the load flow after the last change" if result.last is None else ""
     if critical is not None:
         nu, f1 = critical.pole.imag / (2.0 * pi), result.farm.entry.f1_hz
-        mode = f"; the pencil's critical mode: {critical.pole.real:+.3g} 1/s at {f1 - nu:.4g}/{f1 + nu:.4g} Hz"
+        place = f"{f1 - nu:.4g}/{f1 + nu:.4g} Hz"
+        when = " after the last change" if len(result.words) else ""
+        mode = f"; critical mode by the pencil, without damping{when}: {critical.pole.real:+.3g} 1/s at {place}"
     events = "; ".join(result.words) or "no event"
     return (
         f"{result.farm.entry.name}: {len(result.names)} devices in time, {result.story.duration_s:g} s; {events}{mode}"

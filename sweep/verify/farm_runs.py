@@ -26,10 +26,10 @@ from ...plant.errors import in_words
 from ...plant.protocol import FarmPlant, Member, NotSettled, Together
 from ...plant.registry import make_plant
 from ...tuning.farm.document import farm_of
-from ...tuning.farm.entries import DeviceEntry, FarmEntry
-from ...tuning.farm.farm import Farm, judged
+from ...tuning.farm.entries import DeviceEntry, FarmEntry, NoLoadFlow
+from ...tuning.farm.farm import Farm, judged, judged_with
 from ...tuning.farm.loadflow import load_flow
-from ...tuning.farm.units import Library
+from ...tuning.farm.units import Library, units_of
 from ...tuning.gain import series_of
 from ...tuning.network.assembly import Network, port_impedance
 from ...tuning.siso import SeriesRL
@@ -67,6 +67,9 @@ class FarmVerification:
     ----------
     farm : Farm
         Judged as its file has it: the pencil's modes.
+    last : Farm or None
+        Judged as the last change of the story leaves it; None where it then has no load flow. A device of one operating
+        point keeps that, whatever power the story gives it.
     names : tuple of str
         Devices.
     story : FarmStory
@@ -80,6 +83,7 @@ class FarmVerification:
     """
 
     farm: Farm
+    last: Farm | None
     names: tuple[str, ...]
     story: FarmStory
     settings: tuple[DampingSettings | None, ...]
@@ -109,7 +113,7 @@ def verify_farm(document: Mapping[str, Any], library: Library, story: FarmStory)
     names = tuple(member.name for member in individual.members)
     settings = control.devices if control is not None else (None,) * len(names)
     words = tuple(stage.what for stage in setting.stages[1:]) + tuple(_word(e) for e in story.events if _word(e))
-    return FarmVerification(setting.farm, names, story, settings, tuple(runs), words)
+    return FarmVerification(setting.farm, setting.last(), names, story, settings, tuple(runs), words)
 
 
 class _Setting:
@@ -143,6 +147,22 @@ class _Setting:
         *others, source = entry.network.branches
         network = Network((*others, scaled_branch(source, stage.scale)))
         return replace(entry, network=network, source_z_ohm=stage.scale * entry.source_z_ohm)
+
+    def last(self) -> Farm | None:
+        """The farm as the last change leaves it, its dampers set as the file's; None where it has no load flow."""
+        entry = self.entry_at(self.stages[-1])
+        events = (event for event in self.story.events if isinstance(event, FarmPower))
+        asked = {e.device: e.active_power_w / 1e6 for e in sorted(events, key=lambda event: event.time_s)}
+        known = [device.active_power_mw is not None and device.name in asked for device in entry.devices]
+        changed = [
+            replace(device, active_power_mw=asked[device.name]) if told else device
+            for device, told in zip(entry.devices, known, strict=True)
+        ]
+        entry = replace(entry, devices=tuple(changed))
+        try:
+            return judged_with(entry, units_of(entry, self.library)[0], self.farm.dampers)
+        except NoLoadFlow:
+            return None
 
     def together(self, aggregated: bool) -> tuple[Together, FarmScenario]:
         """The devices, or one for all of them, and the scenario."""

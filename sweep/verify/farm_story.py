@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...plant.errors import nearest
-from .scenario import ScenarioError, number_of, refuse_unknown
+from .scenario import ScenarioError, check_times, number_of, refuse_unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +131,7 @@ def farm_story_of(data: Mapping[str, Any]) -> FarmStory:
     aggregate = data.get("aggregate", True)
     if not isinstance(aggregate, bool):
         raise ScenarioError(f"aggregate is {aggregate!r}; needed is true or false")
+    check_times(events, values.get("duration_s", DEFAULT.duration_s))
     return FarmStory(
         **values, out=_names(data.get("out", []), "out"), k=_gains(data), aggregate=aggregate, events=events
     )

@@ -16,7 +16,7 @@ Impedances count in multiples of the tuned grid, so that one file serves every t
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,7 +121,18 @@ def story_of(data: Mapping[str, Any]) -> Story:
     if not (isinstance(entries, list) and all(isinstance(entry, Mapping) for entry in entries)):
         raise ScenarioError("event must be tables in double brackets, [[event]]")
     events = tuple(_event(entry, f"event {n}") for n, entry in enumerate(entries, start=1))
+    check_times(events, values.get("duration_s", DURATION_S))
     return Story(**{"scale": 1.0, **values}, events=events)
+
+
+def check_times(events: Sequence[Any], duration_s: float) -> None:
+    """Refuse an event, anything with a ``time_s``, that the run ends before."""
+    for n, event in enumerate(events, start=1):
+        if event.time_s >= duration_s:
+            raise ScenarioError(
+                f"event {n}: time_s is {event.time_s:g}, but the run ends at {duration_s:g} s: nothing would happen; "
+                "give an earlier time_s, or a longer duration_s"
+            )
 
 
 def _event(entry: Mapping[str, Any], where: str) -> Event | Switch | ElementStep:

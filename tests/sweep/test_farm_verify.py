@@ -134,6 +134,10 @@ WRONG = {
     "kind": ({"event": [{"kind": "grid_step", "time_s": 0.1}]}, "kind is 'grid_step'; known are source_step"),
     "key": ({"durations_s": 1.0}, "no 'durations_s'; did you mean|no 'durations_s'"),
     "scale": ({"source_scale": 0.0}, "source_scale is 0; needed is a number above 0"),
+    "too late": (
+        {"duration_s": 0.5, "event": [{"kind": "source_step", "time_s": 0.7, "scale": 1.0}]},
+        "event 1: time_s is 0.7, but the run ends at 0.5 s",
+    ),
     "names": ({"out": 3}, "out is 3; needed is a name in quotes"),
     "fault": ({"event": [{"kind": "fault", "time_s": 0.1, "bus": "a", "fault": "c-g", "duration_s": 0.1}]}, "'c-g'"),
 }

@@ -302,6 +302,7 @@ def test_scenario_file_knows_every_event(tmp_path):
         ('[[event]]\nkind = "gird_step"', "event 1: kind is 'gird_step'; known are grid_step"),
         ('[[event]]\nkind = "grid_step"\ntime_s = 0.1', "event 1: scale is missing"),
         ('[[event]]\nkind = "fault"\ntime_s = 0.1\nduration = 1', "did you mean 'duration_s'"),
+        ('[[event]]\nkind = "grid_step"\ntime_s = 3.0\nscale = 1.2', "time_s is 3, but the run ends at 1.2 s"),
     ],
 )
 def test_scenario_file_that_cannot_be_followed_is_refused(tmp_path, text, words):

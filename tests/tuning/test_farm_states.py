@@ -106,3 +106,15 @@ def test_a_state_without_an_operating_point_says_so(library):
 def test_a_state_that_makes_no_sense_is_refused(state, words, library):
     with pytest.raises(FarmError, match=words):
         judge_states(with_states(state), library)
+
+
+def test_long_names_of_states_are_told_whole_within_the_width(library):
+    long = "the northern string behind the second cable is out of service, spring tides "
+    states = judge_states(
+        with_states({"name": long + "a", "out": ["wt1"]}, {"name": long + "b", "out": ["wt2"]}), library
+    )
+    lines = states_text(states).splitlines()
+    assert max(map(len, lines)) <= 80
+    told = " ".join(" ".join(lines).split())
+    assert long + "a" in told
+    assert long + "b" in told

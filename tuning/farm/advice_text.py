@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..layout import WIDTH, folded
 from .restore import Advice, Choice
 
 
@@ -71,7 +72,7 @@ def advice_text(advice: Advice) -> str:
     if advice.choices:
         lines.append(f"{'sum':<{width}}" + _cells(["", *(f"{c.changes.sum():.3f}" for c in advice.choices)]))
         lines += ["", *(_said(advice, choice) for choice in advice.choices)]
-    return "\n".join(lines)
+    return folded("\n".join(lines), WIDTH)
 
 
 def _cells(values: list[str]) -> str:

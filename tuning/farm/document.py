@@ -27,6 +27,13 @@ TOP_KEYS = ("name", "f1_hz", "damping", "state", *SECTIONS)
 WORDS = ("model", "type")
 """Keys of equipment that are words, not numbers."""
 
+OTHERS = {
+    ("campaign", "plant", "sweep", "injection", "operating_point"): "a campaign (seqsweep run sweeps it)",
+    ("element", "grid"): "a grid (seqsweep tune takes it with --grid)",
+    ("duration_s", "event"): "a scenario (seqsweep verify takes it with --scenario)",
+}
+"""What other files begin with, and what they are."""
+
 DAMPER_KEYS = ("name", "bus", "share", "size_s", "in_service")
 DAMPING_KEYS = ("r_ohm", "x_ohm", "resonance_hz", "k_max")
 SOURCE_KEYS = ("name", "bus", "voltage_pu", "r_ohm", "x_ohm", "s_sc_mva", "r_over_x")
@@ -41,6 +48,7 @@ DEVICE_KEYS = (
     "rating",
     "in_service",
 )
+_LISTED = 20  # buses that an error names
 _SHUNTS = ("shunt_capacitor", "shunt_reactor", "filter", "load")
 
 
@@ -82,6 +90,7 @@ def farm_without_islands(document: Mapping[str, Any], out_of_service: Sequence[s
 
 def _as_written(document: Mapping[str, Any], out_of_service: Sequence[str]) -> FarmEntry:
     """The farm with devices on islands still in it."""
+    _check_kind(document)
     known_keys(document, TOP_KEYS, "the farm")
     f1_hz = float(document.get("f1_hz", 50.0))
     voltages = _buses(document)
@@ -136,6 +145,13 @@ def known_keys(entry: Mapping[str, Any], keys: Sequence[str], where: str) -> Non
             raise FarmError(f"{where}: unknown key {key!r}{nearest(key, keys)}; known are {', '.join(keys)}")
 
 
+def _check_kind(document: Mapping[str, Any]) -> None:
+    """Say what a file is that is no farm."""
+    for keys, text in OTHERS.items():
+        if "bus" not in document and "device" not in document and any(key in document for key in keys):
+            raise FarmError(f"this is {text}, not a farm: a farm file has [[bus]], [[source]] and [[device]]")
+
+
 def _in_service(entry: Mapping[str, Any], out_of_service: Sequence[str]) -> bool:
     return bool(entry.get("in_service", True)) and entry.get("name") not in out_of_service
 
@@ -166,7 +182,9 @@ def _buses(document: Mapping[str, Any]) -> dict[str, float]:
 def _bus(entry: Mapping[str, Any], key: str, where: str, voltages: Mapping[str, float]) -> str:
     name = entry.get(key)
     if name not in voltages:
-        raise FarmError(f"{where}: {key} = {name!r} is no bus{nearest(str(name), list(voltages))}")
+        known = ", ".join(list(voltages)[:_LISTED]) + (", ..." if len(voltages) > _LISTED else "")
+        meant = nearest(str(name), list(voltages))
+        raise FarmError(f"{where}: {key} = {name!r} is no bus{meant}; the farm's are {known}")
     return str(name)
 
 

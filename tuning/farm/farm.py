@@ -17,6 +17,8 @@ from .system import System, system_of
 from .tree import reduced, tree_of
 from .units import FAR, Library, ReadTable, Unit, units_of
 
+_NAMED = 3  # devices that one warning names
+
 
 @dataclass(frozen=True, slots=True)
 class Farm:
@@ -54,12 +56,17 @@ class Farm:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Devices whose terminal voltage is not that of their sweep."""
-        return tuple(
-            f"{unit.name}: its terminal voltage is {100.0 * unit.off:+.1f} % from that of the sweep; sweep it there, "
-            "or give active_power_mw and a table over several voltages"
-            for unit in self.units
-            if abs(unit.off) > FAR
+        """Devices whose terminal voltage is not that of their sweep, in one sentence."""
+        off = {unit.name: 100.0 * unit.off for unit in self.units if abs(unit.off) > FAR}
+        if not off:
+            return ()
+        worst = sorted(off, key=lambda name: -abs(off[name]))
+        named = ", ".join(f"{name} {off[name]:+.1f} %" for name in worst[:_NAMED])
+        more = f" and {len(off) - _NAMED} more" if len(off) > _NAMED else ""
+        advice = "sweep it there" if len(off) == 1 else "sweep them there"
+        return (
+            f"terminal voltages that are not those of the sweeps: {named}{more}; {advice}, or give active_power_mw and "
+            "a table over several voltages",
         )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...identify.views.html import MOST, html_table
+from ..layout import WIDTH, folded, wrapped
 from .advice_text import advice_json
 from .dampers import Damper
 from .doubt import doubt_of
@@ -20,6 +21,7 @@ from .states import StateVerdict
 FORMAT, VERSION = "seqsweep-farm", "1.0.0"
 
 _SHOWN = 3  # modes that a terminal shows
+_NAME = 17  # columns of a state's name beside its numbers
 _Z95 = 1.959963984540054
 
 
@@ -156,21 +158,26 @@ def _state_json(found: StateVerdict) -> dict[str, Any]:
 
 
 def states_text(states: Sequence[StateVerdict]) -> str:
-    """States by verdict as a table, within 100 columns."""
-    width = min(34, max(5, *(len(found.state.name) for found in states)))
+    """States by verdict as a table, within `WIDTH` columns; a name that has no room stands above its numbers."""
+    width = min(_NAME, max(5, *(len(found.state.name) for found in states)))
     head = f"{'state':<{width}}    n  verdict    mode Hz        sigma 1/s  zeta %      m  stop"
-    lines = [head, "-" * len(head), *(_state_line(found, width) for found in states)]
+    lines = [head, "-" * len(head), *(line for found in states for line in _state_lines(found, width))]
     counts = [f"{sum(s.verdict == kind for s in states)} {kind}" for kind in dict.fromkeys(s.verdict for s in states)]
     legend = (
         "n: devices; mode: the critical one; m: Bode margin at the source's bus; stop: whether damping control may stop"
     )
-    return "\n".join([*lines, "", ", ".join(counts), legend])
+    return "\n".join([*lines, "", ", ".join(counts), *wrapped(legend, WIDTH)])
 
 
-def _state_line(found: StateVerdict, width: int) -> str:
-    name = found.state.name if len(found.state.name) <= width else found.state.name[: width - 1] + "~"
+def _state_lines(found: StateVerdict, width: int) -> list[str]:
+    name = found.state.name
+    above, beside = (wrapped(name, WIDTH), "") if len(name) > width else ([], name)
+    return [*above, f"{beside:<{width}}  {_state_numbers(found)}"]
+
+
+def _state_numbers(found: StateVerdict) -> str:
     if found.farm is None:
-        return f"{name:<{width}}       {found.verdict}"
+        return f"     {found.verdict}"
     n = sum(unit.count for unit in found.farm.units)
     mode, m = found.farm.judgement.critical, "-" if found.crossing is None else f"{found.crossing.m:.3f}"
     place, sigma, damping = "-", "-", "-"
@@ -179,7 +186,7 @@ def _state_line(found: StateVerdict, width: int) -> str:
         place, sigma = f"{f1 - nu:.4g}/{f1 + nu:.4g}", f"{mode.pole.real:+.3f}"
         damping = f"{-100.0 * mode.pole.real / abs(mode.pole):.2f}"
     stop = "yes" if found.cause_gone else "no"
-    return f"{name:<{width}}  {n:3d}  {found.verdict:<9}  {place:<13}  {sigma:>9}  {damping:>6}  {m:>5}  {stop:>4}"
+    return f"{n:3d}  {found.verdict:<9}  {place:<13}  {sigma:>9}  {damping:>6}  {m:>5}  {stop:>4}"
 
 
 def text_of(farm: Farm) -> str:
@@ -199,7 +206,8 @@ def text_of(farm: Farm) -> str:
         lines += ["", *_mode_lines(farm, mode)]
     if len(judgement.modes) > _SHOWN:
         lines += ["", f"{len(judgement.modes) - _SHOWN} further modes are in the JSON (-o)."]
-    return "\n".join([*lines, *(f"warning: {text}" for text in farm.warnings)])
+    lines += [f"warning: {text}" for text in farm.warnings]
+    return folded("\n".join(lines), WIDTH)
 
 
 def _shown(farm: Farm) -> list[ModeParts]:
