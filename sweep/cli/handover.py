@@ -13,7 +13,10 @@ from .telling import is_json, remark, result
 
 def report(
     inputs: Annotated[
-        list[Path], typer.Argument(metavar="TABLE.parquet [RESULT...]", help="The table, and results about it.")
+        list[Path],
+        typer.Argument(
+            metavar="TABLE.parquet [RESULT...]", help="The table, and results about it; of a farm its JSON alone."
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html", help="The report to write.")],
     pdf: Annotated[bool, typer.Option("--pdf", help="Print it to PDF as well, by Chromium, Chrome or Edge.")] = False,
@@ -31,8 +34,9 @@ def report(
     """
     from ...identify.files import atomic_file
     from ..report.handover.checklist import read_profiles
-    from ..report.handover.inputs import read_inputs
-    from ..report.handover.page import page
+    from ..report.handover.farm import FarmInputs
+    from ..report.handover.inputs import read_any
+    from ..report.handover.page import farm_page, page
     from ..report.handover.pdf import browser, printed
 
     paper, printer = output.with_suffix(".pdf"), None
@@ -41,15 +45,21 @@ def report(
         printer = browser()
     profiles = profile or []
     read_profiles(profiles)  # a wrong name is refused before anything is computed
-    content, stamped = read_inputs(inputs), _stamp() if stamp else ""
-    text = page(content, stamped, profiles)
+    content, stamped = read_any(inputs), _stamp() if stamp else ""
+
+    def made(printing: bool = False) -> str:
+        if isinstance(content, FarmInputs):
+            return farm_page(content, stamped)
+        return page(content, stamped, profiles, printing=printing)
+
+    text = made()
     with atomic_file(output) as file:
         file.write(text.encode())
     size = len(text.encode())
     written: dict[str, object] = {"report": output, "bytes": size}
     remark(f"{output}: {size / 1e3:.0f} kB; open it in a browser")
     if printer is not None:
-        content_of_paper = printed(page(content, stamped, profiles, printing=True), printer)
+        content_of_paper = printed(made(printing=True), printer)
         with atomic_file(paper) as file:
             file.write(content_of_paper)
         written |= {"pdf": paper, "pdf_bytes": len(content_of_paper)}

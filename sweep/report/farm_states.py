@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,7 @@ def states_figure(states: Sequence[StateVerdict]) -> Figure:
     _draw_growth(above, states)
     _draw_margin(below, states)
     below.set_xticks(range(len(states)))
-    names = [found.state.name if len(found.state.name) <= 30 else found.state.name[:29] + "~" for found in states]
+    names = ["\n".join(wrap(found.state.name, 30)) for found in states]
     below.set_xticklabels(names if len(states) <= NAMED else [], rotation=40, ha="right", rotation_mode="anchor")
     below.set_xlim(-0.6, len(states) - 0.4)
     return figure

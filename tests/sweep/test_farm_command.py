@@ -151,3 +151,30 @@ def test_a_network_that_is_none_is_refused(folder):
     done = command("convert", folder / "no.json", "-o", folder / "no.toml")
     assert done.returncode == 2
     assert "neither a network of pandapower" in done.stderr
+
+
+def test_a_report_of_the_farm_alone_holds_diagram_advice_and_states(folder):
+    """No table beside it: the JSON of the farm has everything, that of its states is taken as well."""
+    text = (EXAMPLE / "farm.toml").read_text("utf-8").replace("s_sc_mva = 9.5", "s_sc_mva = 5.2")
+    states = '[[state]]\nname = "one out"\neach_out = ["wt1"]\n'
+    (folder / "weak.toml").write_text(text + states, "utf-8")
+    one = ["--by", "power", "--damping", "6", "-o", folder / "r.json", "--diagram", folder / "d.svg", "--force"]
+    assert command("farm", folder / "weak.toml", *one).returncode == 0
+    assert command("farm", folder / "weak.toml", "--states", "-o", folder / "s.json", "--force").returncode == 0
+    done = command("report", folder / "r.json", folder / "s.json", "-o", folder / "r.html", "--force")
+    assert done.returncode == 0, done.stderr
+    page = (folder / "r.html").read_text("utf-8")
+    content = json.loads((folder / "r.json").read_text())
+    jsonschema.validate(content, schema())
+    assert [branch["name"] for branch in content["network"]["branches"]][-1] == "source"
+    for words in ("One-line diagram", "wt2", "Least norm", "one out, without wt1", "Of 2 switching states", "sha256"):
+        assert words in page
+    assert "6 % of damping with probability 0.95 holds" in page
+    assert 'src="' not in page
+
+
+def test_a_report_of_nothing_but_a_tuning_still_asks_for_its_table(tmp_path):
+    (tmp_path / "t.json").write_text('{"format": "seqsweep-tuning"}')
+    done = command("report", tmp_path / "t.json", "-o", tmp_path / "r.html")
+    assert done.returncode == 2
+    assert "needed is exactly one TABLE.parquet" in done.stderr

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...identify.views.html import MOST, html_table
 from ..layout import WIDTH, folded, wrapped
+from ..network.assembly import GROUND
 from .advice_text import advice_json
 from .dampers import Damper
 from .doubt import doubt_of
@@ -18,7 +19,7 @@ from .participation import ModeParts, ranked
 from .restore import Advice
 from .states import StateVerdict
 
-FORMAT, VERSION = "seqsweep-farm", "1.0.0"
+FORMAT, VERSION = "seqsweep-farm", "1.1.0"
 
 _SHOWN = 3  # modes that a terminal shows
 _NAME = 17  # columns of a state's name beside its numbers
@@ -48,12 +49,27 @@ def to_json(farm: Farm, advice: Sequence[Advice] = ()) -> dict[str, Any]:
         "probability_stable": judgement.probability,
         "n_unstable_locus": judgement.n_unstable_locus,
         "n_unstable_poles": judgement.n_unstable_poles,
+        "network": _network_json(farm),
         "devices": [_unit_json(farm, k) for k in range(len(farm.units))],
         "dampers": [_damper_json(damper) for damper in farm.dampers],
         "modes": [_mode_json(farm, mode) for mode in judgement.modes],
         "doubt": _doubt_json(farm),
         "advice": [advice_json(one) for one in advice],
         "warnings": list(farm.warnings),
+    }
+
+
+def _network_json(farm: Farm) -> dict[str, Any]:
+    """What stands between the devices and the source, as a one-line diagram needs it."""
+    entry = farm.entry
+    return {
+        "source_bus": entry.source_bus,
+        "source_ohm": [entry.source_z_ohm.real, entry.source_z_ohm.imag],
+        "buses_v": dict(entry.voltages_v),
+        "branches": [
+            {"name": branch.name, "ends": {node: ratio for node, ratio in branch.ends.items() if node != GROUND}}
+            for branch in entry.network.branches
+        ],
     }
 
 

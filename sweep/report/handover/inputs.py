@@ -12,12 +12,14 @@ from typing import Any, NamedTuple
 from ....identify.table.read import Table, read_metadata, read_table
 from ....plant.errors import SeqsweepError
 from .bank import metadata_of, read_bank
+from .farm import ALONE, FarmInputs
 
 KINDS = {
     "seqsweep-tuning": "tuning",
     "seqsweep-verification": "verification",
     "seqsweep-metrics": "metrics",
     "seqsweep-farm": "farm",
+    "seqsweep-farm-states": "states",
     "seqsweep-judge": "bank",
 }
 """Formats of results and what a report calls them."""
@@ -61,6 +63,16 @@ class Inputs:
         return next(file.name for file in self.files if kind in (file.kind, *file.kind.split(" and ")))
 
 
+def read_any(paths: Sequence[Path]) -> Inputs | FarmInputs:
+    """As `read_inputs`; results of `seqsweep farm` may also stand without a table."""
+    found = [(_kind_of(path), path) for path in paths]
+    if not found or any(kind not in ALONE for kind, _ in found):
+        return read_inputs(paths)
+    kinds = _apart(found)
+    files = tuple(File(path.name, kind, _sha256(path)) for kind, path in kinds.items())
+    return FarmInputs({kind: _json(path) for kind, path in kinds.items()}, files)
+
+
 def read_inputs(paths: Sequence[Path]) -> Inputs:
     """Read and sort the files; exactly one is a table, of every other kind there is at most one.
 
@@ -83,14 +95,22 @@ def read_inputs(paths: Sequence[Path]) -> Inputs:
 
 
 def _only_one_each(found: Sequence[tuple[str, Path]]) -> dict[str, Path]:
-    kinds: dict[str, Path] = {}
+    kinds = _apart(found)
     tables = [path for kind, path in found if kind == "table"]
+    if len(tables) > 1 or not {"table", "surrogate"} & set(kinds):
+        raise ReportError(
+            f"{len(tables)} tables given; needed is exactly one TABLE.parquet, and results about it (the JSON of "
+            "seqsweep farm alone needs none)"
+        )
+    return kinds
+
+
+def _apart(found: Sequence[tuple[str, Path]]) -> dict[str, Path]:
+    kinds: dict[str, Path] = {}
     for kind, path in found:
         if kind in kinds and kind != "table":
             raise ReportError(f"{path}: a second result of kind {kind}; a report takes one of each")
         kinds[kind] = path
-    if len(tables) > 1 or not {"table", "surrogate"} & set(kinds):
-        raise ReportError(f"{len(tables)} tables given; needed is exactly one TABLE.parquet, and results about it")
     return kinds
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from ....identify.response import FrequencyResponse
 from . import bank, pictures
 from .checklist import checked, read_profiles
+from .farm import FarmInputs, alone_content, farm_content
 from .inputs import Inputs
 from .loop import loop_pictures
 from .repeat import commands
@@ -53,13 +54,35 @@ def page(
     printing : bool
         Whether the page goes to a printer at once: what is folded for its length alone is unfolded.
     """
-    from jinja2 import Environment
+    return _rendered("report.html.j2", {**_content(inputs, profiles), "stamp": stamp, "printing": printing})
 
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+
+def farm_page(inputs: FarmInputs, stamp: str = "") -> str:
+    """The report of a farm alone; see `page`."""
+    return _rendered("farm_alone.html.j2", {**alone_content(inputs), **_looks(), "stamp": stamp})
+
+
+def _rendered(template: str, content: Mapping[str, Any]) -> str:
+    from jinja2 import Environment, FunctionLoader
+
+    environment = Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, loader=FunctionLoader(_data)
+    )
     environment.filters["num"] = number
     environment.filters["percent"] = percent
-    template = environment.from_string(_data("report.html.j2"))
-    return template.render(**_content(inputs, profiles), stamp=stamp, printing=printing).lstrip()
+    return environment.get_template(template).render(content).lstrip()
+
+
+def _looks() -> dict[str, Any]:
+    """Style, script, version: what every page has."""
+    script = _data("hover.js")
+    return {
+        "style": _data("report.css"),
+        "script": script,
+        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        "version": version("seqsweep"),
+        "most": MOST,
+    }
 
 
 def _data(name: str) -> str:
@@ -70,7 +93,6 @@ def _content(inputs: Inputs, profiles: Sequence[str]) -> dict[str, Any]:
     tuning = inputs.results.get("tuning")
     points = _worst_first(tuning["operating_points"]) if tuning else []
     swept = [_swept(response) for response in _as_judged(inputs.table.responses, points)]
-    script = _data("hover.js")
     return {
         "title": _title(inputs),
         "sentences": sentences(inputs, points),
@@ -85,7 +107,7 @@ def _content(inputs: Inputs, profiles: Sequence[str]) -> dict[str, Any]:
         **_pictures(inputs, points),
         "verification": inputs.results.get("verification"),
         "bank": _bank(inputs.results.get("bank")),
-        "farm": inputs.results.get("farm"),
+        **farm_content(inputs.results),
         "surrogate": _surrogate(inputs.results.get("surrogate")),
         "metrics": _metrics(inputs.results.get("metrics")),
         "device": _device(inputs),
@@ -100,11 +122,7 @@ def _content(inputs: Inputs, profiles: Sequence[str]) -> dict[str, Any]:
         "commands": [line for command in commands(inputs) for line in _wrapped(command)],
         "meta": inputs.table.meta,
         "campaign": json.dumps(inputs.table.meta.get("configuration", {}), indent=1, sort_keys=True),
-        "style": _data("report.css"),
-        "script": script,
-        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        "version": version("seqsweep"),
-        "most": MOST,
+        **_looks(),
     }
 
 
@@ -135,6 +153,7 @@ def _sections(inputs: Inputs, points: Sequence[Mapping[str, Any]]) -> list[tuple
         ("in-time", "Confirmation in time", "verification" in has),
         ("bank", "Bank of grids", "bank" in has),
         ("farm", "Farm", "farm" in has),
+        ("states", "Switching states", "states" in has),
         ("region", "Any operating point", "surrogate" in has),
         ("metrics", "Metrics", "metrics" in has),
         ("admittance", "Admittance", True),

@@ -68,6 +68,10 @@ def _of_farm(inputs: Inputs, table: str, output: str) -> str:
     return f"seqsweep farm FARM.toml -o {shlex.quote(output)}"
 
 
+def _of_states(inputs: Inputs, table: str, output: str) -> str:
+    return f"seqsweep farm FARM.toml --states -o {shlex.quote(output)}"
+
+
 def _of_surrogate(inputs: Inputs, table: str, output: str) -> str:
     return f"seqsweep surrogate {shlex.quote(table)} -o {shlex.quote(output)}"
 
@@ -79,4 +83,5 @@ _COMMANDS = {
     "bank": _of_bank,
     "metrics": _of_metrics,
     "farm": _of_farm,
+    "states": _of_states,
 }

@@ -48,12 +48,25 @@ def sentences(inputs: Inputs, points: Sequence[Mapping[str, Any]]) -> list[str]:
         found += _cases(points)
     if "bank" in inputs.results:
         found.append(bank_sentence(inputs.results["bank"]))
-    if "farm" in inputs.results:
-        found.append(f"The farm is {_word(inputs.results['farm']['verdict'])}: {inputs.results['farm']['reason']}")
+    found += farm_sentences(inputs.results)
     if not found:
         return ["This report holds the measured admittance; no verdict on a grid was asked for."]
     if "verification" in inputs.results:
         found.append(_in_time(inputs.results["verification"]))
+    return [_ended(text) for text in found]
+
+
+def farm_sentences(results: Mapping[str, Any]) -> list[str]:
+    """The farm's verdict, and how many of its switching states are what."""
+    found = []
+    if "farm" in results:
+        found.append(f"The farm is {_word(results['farm']['verdict'])}: {results['farm']['reason']}")
+    if "states" in results:
+        states = results["states"]["states"]
+        counts = Counter(
+            _word(state["verdict"]) if state["verdict"] else "without an operating point" for state in states
+        )
+        found.append(f"Of {len(states)} switching states {', '.join(f'{n} {word}' for word, n in counts.items())}")
     return [_ended(text) for text in found]
 
 
