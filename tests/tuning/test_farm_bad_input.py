@@ -30,7 +30,10 @@ BAD = {
     ),
     "a misspelt bus of a device": (changed("device", 0, bus="t11"), "is no bus .did you mean 't1'"),
     "a misspelt bus of a cable": (changed("cable", 0, to="rwo"), "c: to = 'rwo' is no bus .did you mean 'row'"),
-    "a bus of nothing like it": (changed("source", 0, bus="xyzzy"), "bus = 'xyzzy' is no bus; the farm's are grid, main, row"),
+    "a bus of nothing like it": (
+        changed("source", 0, bus="xyzzy"),
+        "bus = 'xyzzy' is no bus; the farm's are grid, main",
+    ),
     "a campaign": ({"campaign": {"name": "x"}, "plant": {"id": "dpmsg-v1"}}, "this is a campaign .* not a farm"),
     "a grid": ({"voltage_kv": 35.0, "element": []}, "this is a grid .* not a farm"),
     "a scenario": ({"duration_s": 1.0, "event": []}, "this is a scenario .* not a farm"),
