@@ -19,10 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .sparse_rational import ELEMENTS, Data, Fitted, Prediction
-
-NEIGHBOURS = 7
-"""Neighbouring frequencies whose leave-one-out errors are pooled."""
+from .sparse_rational import ELEMENTS, Data, Fitted, Prediction, moving_mean
 
 _GROUPS = 4.0  # independent real numbers per free sweep: two, in about two independent groups of pooled frequencies
 _EXPLAINED = 1.5  # errors up to this multiple of the stated variance are noise
@@ -67,11 +64,11 @@ def certainty(fitted: Fitted, data: Data, noise: np.ndarray | None) -> Certainty
     squared = np.where(used, np.sum(np.abs(fitted.left_out) ** 2, axis=2) * (1.0 - h), 0.0)
     free = data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
     unsure = _quantile(2.0, _GROUPS * max(free, 0.5))
-    missed = _moving_mean((squared / h).sum(axis=1) / count)
+    missed = moving_mean((squared / h).sum(axis=1) / count)
     if noise is None:
         return Certainty(missed, np.full(len(missed), unsure))
-    stated = _moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
-    found = np.maximum(_moving_mean(squared.sum(axis=1) / count), 1e-300)
+    stated = moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
+    found = np.maximum(moving_mean(squared.sum(axis=1) / count), 1e-300)
     share = np.clip(_EXPLAINED * stated / found, 0.0, 1.0)
     variance = np.maximum(stated, (1.0 - share) * missed + share * stated)
     return Certainty(variance, share * _quantile(ELEMENTS, 1e6) + (1.0 - share) * unsure)
@@ -100,12 +97,3 @@ def relative_error(
         noise = sure.variance * np.abs(rival.leverage - prediction.leverage)
         spread += np.maximum(apart - noise, 0.0) / max(ratio, 1.0) ** 2 / len(rivals)
     return sure.factor * np.sqrt(sure.variance * prediction.leverage + spread)
-
-
-def _moving_mean(values: np.ndarray) -> np.ndarray:
-    """Mean over the `NEIGHBOURS` nearest entries, fewer at the ends."""
-    half = NEIGHBOURS // 2
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    at = np.arange(len(values))
-    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
-    return (total[high] - total[low]) / (high - low)

@@ -6,7 +6,8 @@ rational in its operating currents and voltage, which is why few products suffic
 
 The coefficients minimise ``sum_j |w_j / d_j (d(x_j) Y_e(x_j) - N_e(x_j))|^2`` over the sweeps j, with w = 1/||Y||. For
 given weights this is linear; d from the pass before makes the weights (Sanathanan and Koerner). The numerators are
-projected out by a QR of their columns, which leaves a small least squares for d (variable projection).
+projected out by a QR of their columns, which leaves a small least squares for d (variable projection). The coefficients
+of d have a prior, weighed by the error that the fit leaves (`EXPECTED`): a ridge.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ MAX_NUMERATOR_DEGREE = 6
 MAX_DENOMINATOR_DEGREE = 3
 
 PASSES = 3
-"""Sanathanan-Koerner passes: the weights have settled to a per cent by then."""
+"""Sanathanan-Koerner passes, after a first fit that tells the error: the weights have settled to a per cent by then."""
 
 SMALLEST_WITHIN = 1.05
 """The smallest model whose leave-one-out error is within this factor of the least one is taken."""
@@ -35,6 +36,20 @@ RIVALS = 5
 
 GUARD = 0.25
 """|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
+
+EXPECTED = 0.1
+"""Size of a coefficient of the denominator that is expected before anything is swept.
+
+Where Y hardly depends on the operating point any denominator does, with numerators to match, and noise picks one: a
+pole and a zero that nearly cancel between the sweeps. The prior holds such coefficients near zero. It costs little: a
+coefficient delta that is needed leaves at most error / (2 EXPECTED) |delta| over the rows of all sweeps together.
+"""
+
+LEAST_RIDGE = 1e-12
+"""Least error that the prior is weighed against, relative to ||Y||."""
+
+NEIGHBOURS = 7
+"""Neighbouring frequencies over which squares are averaged."""
 
 LEAST_DENOMINATOR = 1e-9
 """A pole that falls on a sweep during the fit weighs no more than this gives."""
@@ -92,7 +107,8 @@ class Fitted:
     leverage : (f, m) float
         Mean diagonal of the hat matrix over the four elements of each sweep.
     r_numerator, r_denominator : (f, k, k), (f, l, l) complex
-        Triangular factors of the weighted columns and of the projected ones: what a leverage elsewhere needs.
+        Triangular factors of the weighted columns and of the projected ones with their prior: what a leverage elsewhere
+        needs.
     mixing : (f, 4, k, l) complex
         Q^H B of the projected columns, per element.
     """
@@ -131,13 +147,20 @@ def fit_shape(data: Data, shape: Shape, passes: int = PASSES) -> Fitted:
     phi = chebyshev_products(data.x, shape.numerator)
     psi = chebyshev_products(data.x, shape.denominator)
     denominator = np.ones(data.weight.shape, dtype=complex)
-    coefficients = np.zeros((len(data.y), psi.shape[1]), dtype=complex)
-    for _ in range(passes if len(shape.denominator) else 1):
-        step = _solve(data, phi, psi, data.weight / np.abs(denominator))
-        coefficients = step.denominator
-        denominator = 1.0 + coefficients @ psi.T
+    step = _solve(data, phi, psi, data.weight, np.zeros(len(data.y)))
+    for _ in range(passes if len(shape.denominator) else 0):
+        error = _error(data, shape, step)
+        step = _solve(data, phi, psi, data.weight / np.abs(denominator), error / EXPECTED)
+        denominator = 1.0 + step.denominator @ psi.T
         denominator = np.where(np.abs(denominator) > LEAST_DENOMINATOR, denominator, LEAST_DENOMINATOR)
     return _judged(shape, step)
+
+
+def _error(data: Data, shape: Shape, step: _Step) -> np.ndarray:
+    """(f,) standard error of an element, relative to ||Y||: what the fit leaves, over its degrees of freedom."""
+    free = ELEMENTS * np.sum(data.weight > 0.0, axis=1) - shape.size
+    squares = np.sum(np.abs(step.residual) ** 2, axis=(1, 2)) / np.maximum(free, 1)
+    return np.sqrt(moving_mean(squares))
 
 
 class _Step(NamedTuple):
@@ -153,8 +176,8 @@ class _Step(NamedTuple):
     residual: np.ndarray
 
 
-def _solve(data: Data, phi: np.ndarray, psi: np.ndarray, g: np.ndarray) -> _Step:
-    """Coefficients for weights g (f, m) = w/|d|: numerators projected out, then d, then numerators."""
+def _solve(data: Data, phi: np.ndarray, psi: np.ndarray, g: np.ndarray, ridge: np.ndarray) -> _Step:
+    """Coefficients for weights g (f, m) = w/|d| and a ridge (f,): numerators projected out, then d, then numerators."""
     n_f, n_m = g.shape
     n_l = psi.shape[1]
     q, r = np.linalg.qr(g[:, :, None] * phi)
@@ -165,8 +188,9 @@ def _solve(data: Data, phi: np.ndarray, psi: np.ndarray, g: np.ndarray) -> _Step
     inside = (qh @ target[..., None])[..., 0]
     coupling = coupling - q[:, None] @ mixing
     rest = target - (q[:, None] @ inside[..., None])[..., 0]
-    stacked = coupling.reshape(n_f, ELEMENTS * n_m, n_l)
-    q_c, r_c = np.linalg.qr(stacked)
+    held = np.maximum(ridge, LEAST_RIDGE)[:, None, None] * np.eye(n_l)
+    q_c, r_c = np.linalg.qr(np.concatenate([coupling.reshape(n_f, ELEMENTS * n_m, n_l), held], axis=1))
+    q_c = q_c[:, : ELEMENTS * n_m]
     delta = -_backwards(r_c, np.swapaxes(q_c.conj(), 1, 2) @ rest.reshape(n_f, -1, 1))[..., 0]
     residual = rest + (coupling @ delta[:, None, :, None])[..., 0]
     numerator = _backwards(r, np.swapaxes(inside + (mixing @ delta[:, None, :, None])[..., 0], 1, 2))
@@ -189,6 +213,15 @@ def _judged(shape: Shape, step: _Step) -> Fitted:
     left_out = (turn @ (seen / np.maximum(size, DETERMINED)[..., None]))[..., 0]
     left_out[size[..., 0] < DETERMINED] = np.inf
     return Fitted(shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing)
+
+
+def moving_mean(values: np.ndarray) -> np.ndarray:
+    """Mean over the `NEIGHBOURS` nearest entries, fewer at the ends."""
+    half = NEIGHBOURS // 2
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    at = np.arange(len(values))
+    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
+    return (total[high] - total[low]) / (high - low)
 
 
 def _backwards(r: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -1,19 +1,25 @@
-"""Operating points of the reference turbine as a sweep would find them, from its exact linearisation."""
+"""Operating points of devices as a sweep would find them, from their exact linearisation.
+
+The reference turbine, and a droop-controlled grid-forming inverter with the numbers of PowerSimulationsDynamics' "test
+23", which is stable on an ideal source.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from seqsweep.identify.frames import dq_to_pn
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.surrogate.surrogate import AXES, Region, Surrogate, name_of
+from seqsweep.plant.inverters.parameters import FormingParameters
 from seqsweep.tuning.region.loadflow import Situation
 from seqsweep.tuning.siso import SeriesRL, siso
 
-from . import oracle
+from . import inverter_oracle, oracle
 
 U_V = 690.0
 BASES = {"rated_voltage_v": U_V, "rated_power_va": 1.632e6}
@@ -22,22 +28,25 @@ PV = Region(np.array([0.2, 0.0, 0.9]), np.array([1.3, 0.0, 1.1]))
 PQV = Region(np.array([0.2, -0.4, 0.9]), np.array([1.3, 0.4, 1.1]))
 
 
+PQV_DROOP = Region(np.array([0.4, -0.8, 0.9]), np.array([2.2, 0.8, 1.1]))
+DROOP = FormingParameters(k_d=0.0, k_w=20.0, t_a_s=0.63662)
+
+
 def exact(point: np.ndarray, f_hz: np.ndarray = F_HZ) -> np.ndarray:
-    """Y (f, 2, 2) in the pn frame at (P, Q, V) in MW, Mvar, pu."""
+    """Y (f, 2, 2) of the turbine in the pn frame at (P, Q, V) in MW, Mvar, pu."""
     return oracle.admittance_pn(f_hz, point[0] * 1e6, point[2] * U_V, q_var=point[1] * 1e6)
 
 
+def exact_droop(point: np.ndarray, f_hz: np.ndarray = F_HZ) -> np.ndarray:
+    """Y (f, 2, 2) of the droop inverter in the pn frame at (P, Q, V) in MW, Mvar, pu."""
+    power = 1e6 * complex(point[0], point[1]) / DROOP.s_rated_va
+    model = inverter_oracle.linearise(DROOP, "forming", power, point[2])
+    return inverter_oracle.admittance_pn(model, f_hz) * DROOP.s_rated_va / DROOP.u_rated_v**2
+
+
 def swept(point: np.ndarray, noise: float = 0.0, random: np.random.Generator | None = None) -> FrequencyResponse:
-    """One operating point with relative ``noise`` and the covariance that says so, and its measured fundamental."""
-    y = exact(point)
-    size = np.linalg.norm(y, axis=(1, 2))[:, None, None]
-    if noise:
-        assert random is not None
-        errors = random.normal(size=(2, *y.shape))
-        y = y + noise * size / np.sqrt(8.0) * (errors[0] + 1j * errors[1])
-    covariance = (max(noise, 1e-12) ** 2 / 8.0 * size**2) * np.eye(8)
-    meta = {"op_id": name_of(point), **dict(zip(AXES, map(float, point), strict=True)), "fundamental": facts(point)}
-    return FrequencyResponse(F_HZ, y, 50.0, covariance=covariance, meta=meta)
+    """One operating point of the turbine with relative ``noise`` and the covariance that says so, and its current."""
+    return TURBINE.swept(point, noise, random)
 
 
 def facts(point: np.ndarray) -> dict[str, float]:
@@ -53,6 +62,48 @@ def facts(point: np.ndarray) -> dict[str, float]:
         "current_angle_rad": float(np.angle(into)),
         "voltage_v": v,
     }
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device whose admittance is known in closed form.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    exact : callable
+        Y (f, 2, 2) in the pn frame (S) at an operating point (3,) and frequencies (f,).
+    facts : callable or None
+        The measured fundamental at an operating point (3,), as a table holds it.
+    """
+
+    name: str
+    exact: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    facts: Callable[[np.ndarray], dict[str, float]] | None = None
+
+    def swept(
+        self,
+        point: np.ndarray,
+        noise: float = 0.0,
+        random: np.random.Generator | None = None,
+        f_hz: np.ndarray = F_HZ,
+    ) -> FrequencyResponse:
+        """An operating point (3,) with relative ``noise`` and the covariance that says so."""
+        y = self.exact(point, f_hz)
+        size = np.linalg.norm(y, axis=(1, 2))[:, None, None]
+        if noise:
+            assert random is not None
+            errors = random.normal(size=(2, *y.shape))
+            y = y + noise * size / np.sqrt(8.0) * (errors[0] + 1j * errors[1])
+        covariance = (max(noise, 1e-12) ** 2 / 8.0 * size**2) * np.eye(8)
+        meta = {"op_id": name_of(point), **dict(zip(AXES, map(float, point), strict=True))}
+        known = {} if self.facts is None else {"fundamental": self.facts(point)}
+        return FrequencyResponse(f_hz, y, 50.0, covariance=covariance, meta={**meta, **known})
+
+
+TURBINE = Device("turbine", exact, facts)
+DROOP_INVERTER = Device("droop inverter", exact_droop)
 
 
 def unseen(region: Region, n: int, seed: int) -> np.ndarray:
