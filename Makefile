@@ -37,6 +37,7 @@ docs: $(READY)
 evidence: $(READY)
 	$(BIN)/python -m pytest -n 2 -m evidence
 	$(BIN)/python benchmarks/verdicts.py --tables 3500 --swept 0.6 --calibration 2000 --jobs 2 --write --check
+	$(BIN)/python benchmarks/surrogate.py --designs 200 --covered 200 --pairs 1000 --grids 100 --searches 20 --rivals 20 --jobs 2 --write --check
 
 bench: $(READY)
 	$(BIN)/python benchmarks/run_all.py

@@ -30,16 +30,27 @@ PAGE = ROOT / "docs" / "surrogate.md"
 BEGIN, END = "<!-- figures: make evidence -->", "<!-- end of figures -->"
 
 BARS = {
-    "certificates": lambda pool, seed, asked: bars.certificates(pool, seed, asked.designs, asked.rivals),
+    "certificates": (bars.certificates, "designs"),
+    "coverage": (bars.coverage, "covered"),
+    "verdicts": (bars.judged, "pairs"),
+    "modes": (bars.modes, "grids"),
+    "worst": (bars.worst, "searches"),
+    "speed": (bars.speed, "campaigns"),
 }
+"""Every bar, and the option that says how much of it is run."""
 
 
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--only", default=",".join(BARS), help=f"bars, separated by commas: {', '.join(BARS)}")
-    parser.add_argument("--designs", type=int, default=4, help="random designs of each kind")
-    parser.add_argument("--rivals", type=int, default=2, help="designs of each kind for the library's method")
+    parser.add_argument("--designs", type=int, default=4, help="designs of each kind that are to be certified")
+    parser.add_argument("--covered", type=int, default=8, help="designs whose regions are held against the truth")
+    parser.add_argument("--pairs", type=int, default=40, help="grids and operating points that are judged")
+    parser.add_argument("--grids", type=int, default=20, help="grids on which the critical mode is asked for")
+    parser.add_argument("--searches", type=int, default=0, help="searches of the worst point of a bank")
+    parser.add_argument("--campaigns", type=int, default=1, help="campaigns that are timed")
+    parser.add_argument("--rivals", type=int, default=2, help="as many of each kind for the library's method")
     parser.add_argument("--seed", type=int, help="a new one unless given")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--write", action="store_true", help="rewrite the figures of the page")
@@ -56,7 +67,8 @@ def main() -> int:
     with ProcessPoolExecutor(asked.jobs) as pool:
         for name in asked.only.split(","):
             begin = time.perf_counter()
-            rows = BARS[name](pool, seed, asked)
+            bar, option = BARS[name]
+            rows = bar(pool, seed, getattr(asked, option), asked.rivals)
             parts += [row.line() for row in rows]
             met = met and all(row.met is not False for row in rows)
             print(f"{name}: {time.perf_counter() - begin:.0f} s", file=sys.stderr)
@@ -67,9 +79,10 @@ def main() -> int:
 
 
 def _page(seed: int, asked: argparse.Namespace, lines: list[str]) -> str:
-    command = f"python benchmarks/surrogate.py --seed {seed} --designs {asked.designs} --rivals {asked.rivals}"
+    counts = [*(option for name, (_, option) in BARS.items() if name in asked.only.split(",")), "rivals"]
+    told = " ".join(f"--{option} {getattr(asked, option)}" for option in counts)
     only = "" if asked.only == ",".join(BARS) else f" --only {asked.only}"
-    return "\n".join([f"`{command}{only}`:", "", bars.HEAD, *lines])
+    return "\n".join([f"`python benchmarks/surrogate.py --seed {seed} {told}{only}`:", "", bars.HEAD, *lines])
 
 
 def _write(text: str) -> None:

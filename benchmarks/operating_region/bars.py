@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import cache, partial
@@ -11,7 +12,8 @@ import numpy as np
 
 from tests.support.regions import DROOP_INVERTER, PQV, PQV_DROOP, PV, TURBINE, Device
 
-from .designs import Certified, Truth, build_ours, certified, grown, noisy
+from . import searches, timing, verdicts
+from .designs import Certified, Truth, build_ours, certified, grown, noisy, swept_by
 from .rival import build_rival
 
 TOLERANCES = (8e-3, 1e-3, 1e-4)
@@ -22,6 +24,9 @@ ROW_NOISE = 3e-6
 """Relative error of a row that `run` sweeps with its default settings."""
 
 UNSEEN = 1000
+
+POWERS = (24, 33)
+"""Active and reactive powers of the brute force."""
 
 BUILDS = {"ours": build_ours, "rival": build_rival}
 
@@ -109,3 +114,140 @@ def _sweeps(sweeps: np.ndarray, off: np.ndarray) -> str:
     given_up = f", {np.sum(~done)} not within {MOST}" if not done.all() else ""
     middle, most = np.median(sweeps[done]), sweeps[done].max()
     return f"{middle:.0f} sweeps, at most {most:.0f}{given_up}; error at most {100 * off[done].max():.2g} %"
+
+
+COVERED = (0.93, 0.99)
+"""Share of points and frequencies at which a 95 % region is to hold."""
+
+LEAST_COVERED = 0.85
+"""Of any design."""
+
+NOISES = (0.0, 1e-4, 1e-3, 1e-2)
+
+
+class Covered(NamedTuple):
+    """How often the regions of one design held."""
+
+    held: float
+    seed: int
+    sweeps: int
+    axes: str
+    by_doubt: bool
+
+    def words(self) -> str:
+        """In one line."""
+        how = "grown by doubt" if self.by_doubt else "listed at random"
+        return f"{100 * self.held:.1f} % of {self.axes}, {self.sweeps} sweeps {how}, seed {self.seed}"
+
+
+def coverage(pool: Executor, seed: int, designs: int, rivals: int) -> list[Row]:
+    """How often the 95 % regions hold, over designs along two and three axes, grown by doubt and listed at random."""
+    rows = []
+    for noise in NOISES:
+        ours = list(pool.map(partial(_covered, noise, "ours"), range(seed, seed + designs)))
+        theirs = list(pool.map(partial(_covered, noise, "rival"), range(seed, seed + min(designs, rivals))))
+        for one in sorted(ours)[:20]:
+            print(f"  noise {noise:g}: {one.words()}", file=sys.stderr)
+        held = np.array([one.held for one in ours])
+        met = bool(COVERED[0] <= held.mean() <= COVERED[1] and held.min() >= LEAST_COVERED)
+        asked = f"{100 * COVERED[0]:g} to {100 * COVERED[1]:g} %, none below {100 * LEAST_COVERED:g} %"
+        told, rival = _shares(held), _shares(np.array([one.held for one in theirs]))
+        rows.append(Row(f"95 % regions that hold, noise {noise:g}", f"{designs} designs", told, rival, asked, met))
+    return rows
+
+
+def _covered(noise: float, build: str, seed: int) -> Covered:
+    """The regions of one design of 8 to 16 sweeps."""
+    name = ("P, V", "P, Q, V")[seed % 2]
+    case, random = CASES[name], np.random.default_rng(seed)
+    sweeps, by_doubt = int(random.integers(8, 17)), bool(seed // 2 % 2)
+    sweep = noisy(case.device, noise, seed, stated=noise)
+    if by_doubt:
+        surrogate = next(
+            s.surrogate for s in grown(case.region, seed, sweep, BUILDS[build]) if len(s.responses) == sweeps
+        )
+    else:
+        surrogate = BUILDS[build](swept_by(sweep, case.region, sweeps, seed), case.region)
+    return Covered(float(truth_of(name, UNSEEN // 5).held(surrogate).mean()), seed, sweeps, case.axes, by_doubt)
+
+
+def _shares(held: np.ndarray) -> str:
+    low = int(np.sum(held < LEAST_COVERED))
+    return f"{100 * held.mean():.1f} %, least {100 * held.min():.1f} %, {low} below {100 * LEAST_COVERED:g} %"
+
+
+def judged(pool: Executor, seed: int, pairs: int, rivals: int) -> list[Row]:
+    """Verdicts on grids near the edge of stability, at operating points that were not swept."""
+    n = max(pairs // verdicts.PAIRS, 1)
+    rows = []
+    for noise in (ROW_NOISE, 1e-3):
+        one = partial(verdicts.judged, noise)
+        ours = [said for of in pool.map(partial(one, "ours"), range(seed, seed + n)) for said in of]
+        theirs = [said for of in pool.map(partial(one, "rival"), range(seed, seed + min(n, rivals))) for said in of]
+        met = not any(said.wrong and said.certain for said in ours)
+        what = f"verdicts at unseen points, rows' noise {noise:g}"
+        rows.append(Row(what, f"{len(ours)} pairs", _verdicts(ours), _verdicts(theirs), "0 certain and wrong", met))
+    return rows
+
+
+def _verdicts(said: Sequence[verdicts.Judged]) -> str:
+    wrong = sum(one.wrong for one in said)
+    certain = sum(one.wrong and one.certain for one in said)
+    undecided = sum(one.undecided for one in said)
+    return f"{certain} certain and wrong, {wrong} wrong, {undecided} undecided of {len(said)}"
+
+
+def modes(pool: Executor, seed: int, grids: int, rivals: int) -> list[Row]:
+    """Distance of the critical mode from the exact one, on grids that were not seen, from 20 sweeps."""
+    n = max(grids // verdicts.PAIRS, 1)
+    one = partial(verdicts.modes, ROW_NOISE)
+    ours = np.concatenate(list(pool.map(partial(one, "ours"), range(seed, seed + n))))
+    theirs = np.concatenate(list(pool.map(partial(one, "rival"), range(seed, seed + min(n, rivals)))))
+    what = f"critical mode from {verdicts.SWEEPS} sweeps, rows' noise {ROW_NOISE:g}"
+    limit = verdicts.NEAR_RAD_S
+    told, rival = (f"median {np.median(off):.2g}, at most {off.max():.2g} rad/s" for off in (ours, theirs))
+    return [Row(what, f"{len(ours)} grids", told, rival, f"<= {limit:g} rad/s", bool(ours.max() <= limit))]
+
+
+def worst(pool: Executor, seed: int, designs: int, rivals: int) -> list[Row]:
+    """The worst m over 27 grids and the turbine's P, Q and V, against brute force with the exact admittance."""
+    if designs == 0:
+        return []
+    truth = min(pool.map(partial(searches.brute_force_on, POWERS), range(27)))
+    ours = list(pool.map(partial(searches.searched, "ours"), range(seed, seed + designs)))
+    theirs = list(pool.map(partial(searches.searched, "rival"), range(seed, seed + min(designs, rivals))))
+    met = all(one.sweeps <= searches.MOST and abs(one.m / truth - 1.0) <= searches.NEAR for one in ours)
+    what = f"worst m of 27 grids over P, Q and V; brute force {truth:.4f}"
+    asked = f"<= {searches.MOST} sweeps, within {100 * searches.NEAR:g} %"
+    told, rival = _searches(ours, truth), _searches(theirs, truth)
+    return [Row(what, f"{designs} designs", told, rival, asked, met)]
+
+
+def _searches(found: Sequence[searches.Searched], truth: float) -> str:
+    if not found:
+        return ""
+    sweeps = [one.sweeps for one in found]
+    off = max(abs(one.m / truth - 1.0) for one in found)
+    return f"{min(sweeps)} to {max(sweeps)} sweeps; {100 * off:.2g} % off at most"
+
+
+def speed(pool: Executor, seed: int, campaigns: int, rivals: int) -> list[Row]:
+    """How long it takes, in CPU seconds of one core where it is said, else by the clock."""
+    build, evaluate = pool.submit(timing.speed, "ours").result()
+    theirs = pool.submit(timing.speed, "rival").result()
+    rows = [
+        _time("built from 20 sweeps of 100 frequencies", build, theirs[0], timing.BUILD_S, "CPU"),
+        _time("evaluated 1e5 times (P, Q, V, f)", evaluate, theirs[1], timing.EVALUATE_S, "CPU"),
+    ]
+    for _ in range(campaigns):
+        wall, used, swept = timing.campaign()
+        what = f"certified campaign, examples/region.toml, {swept} operating points"
+        row = _time(what, wall, None, timing.CAMPAIGN_S, "")
+        rows.append(row._replace(ours=f"{row.ours} by the clock, {used:.1f} s of CPU"))
+    return rows
+
+
+def _time(what: str, ours: float, rival: float | None, limit: float, clock: str) -> Row:
+    unit = f"s of {clock}" if clock else "s"
+    told = "" if rival is None else f"{rival:.2g} {unit}"
+    return Row(what, "1", f"{ours:.2g} {unit}", told, f"<= {limit:g} {unit}", ours <= limit)

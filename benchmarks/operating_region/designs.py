@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +80,21 @@ class Truth:
         return off <= radius
 
 
-def noisy(device: Device, noise: float, seed: int) -> Sweep:
-    """Rows by formula with random relative noise, a new one at every sweep."""
+def noisy(device: Device, noise: float, seed: int, *, stated: float | None = None, f_hz: np.ndarray = F_HZ) -> Sweep:
+    """Rows by formula with random relative noise, new at every sweep; ``stated`` is what their covariance says."""
     random = np.random.default_rng(seed)
-    return lambda point: device.swept(point, noise, random)
+    honest = noise if stated is None else stated
+
+    def sweep(point: np.ndarray) -> FrequencyResponse:
+        response = device.swept(point, noise, random, f_hz)
+        told = {**response.meta, "stable_on": {"grid": "ideal", "basis": "shots", "growth_bound_per_s": 0.0}}
+        size = np.linalg.norm(response.y, axis=(1, 2))[:, None, None]
+        return replace(response, covariance=(honest**2 / 8.0 * size**2) * np.eye(8), meta=told)
+
+    return sweep
+
+
+def swept_by(sweep: Sweep, region: Region, n: int, seed: int) -> list[FrequencyResponse]:
+    """The first design, and random points besides: a table that was listed, not grown."""
+    first = first_points(region, seed)
+    return [sweep(point) for point in np.vstack([first, unseen(region, max(n - len(first), 0), seed)])]

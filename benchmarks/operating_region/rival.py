@@ -2,8 +2,8 @@
 
 Of the libraries' methods for scattered points it is the one that states an error of its own, so that it can be held
 to every bar: it certifies, it covers, it chooses the next sweep. It is given the surrogate's coordinates and
-frequencies, a smooth kernel with a scale of its own for every axis, a noise that it finds itself, and the parameters of
-the largest likelihood.
+frequencies, a smooth kernel with a scale of its own for every axis, a noise that it finds itself, and at every
+frequency the parameters of the largest likelihood.
 """
 
 from __future__ import annotations
@@ -24,42 +24,49 @@ _RADIUS = np.sqrt(15.51)  # 95 % quantile of chi-squared with eight degrees: fou
 
 
 @dataclass(frozen=True)
-class Process:
-    """What stands in a surrogate for its model.
+class Processes:
+    """What stands in a surrogate for its model: a process for every frequency, of four elements relative to ||Y||.
 
     Attributes
     ----------
-    regressor : sklearn.gaussian_process.GaussianProcessRegressor
-        Of real and imaginary parts of all elements at all frequencies.
+    regressors : tuple of sklearn.gaussian_process.GaussianProcessRegressor
+        Of real and imaginary parts, at every frequency.
+    middle : (f, 4) complex
+        Mean over the sweeps (S).
+    size : (f,) float
+        Mean of ||Y|| (S).
     """
 
-    regressor: Any
+    regressors: tuple[Any, ...]
+    middle: np.ndarray
+    size: np.ndarray
     models: tuple[()] = ()
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Y (p, f, 4) at points (p, d) of the unit box, and the radius of its 95 % region relative to the norm."""
-        mean, deviation = self.regressor.predict(x, return_std=True)
-        parts, widths = (values.reshape(len(x), 2, -1, ELEMENTS) for values in (mean, deviation))
-        y = parts[:, 0] + 1j * parts[:, 1]
-        return y, _RADIUS * np.sqrt((widths**2).mean(axis=(1, 3))) / np.linalg.norm(y, axis=2)
+        told = [regressor.predict(x, return_std=True) for regressor in self.regressors]
+        mean, deviation = (np.stack(parts, axis=1) * self.size[:, None] for parts in zip(*told, strict=True))
+        y = self.middle + mean[..., :ELEMENTS] + 1j * mean[..., ELEMENTS:]
+        return y, _RADIUS * np.sqrt((deviation**2).mean(axis=2)) / np.linalg.norm(y, axis=2)
 
 
 def build_rival(responses: Sequence[FrequencyResponse], region: Region) -> Surrogate:
-    """A surrogate with a Gaussian process in place of its model, in the same coordinates."""
-    n_axes = int(region.varies.sum())
-    constant = Shape(((0,) * n_axes,), ())
+    """A surrogate with Gaussian processes in place of its model, in the same coordinates."""
+    constant = Shape(((0,) * int(region.varies.sum()),), ())
     frame = build_surrogate(responses, Chosen(None, ((constant,),)), region)
-    y = np.array([to_dq(response).y.ravel() for response in responses])
-    return replace(frame, pieces=(Process(_fitted(frame.scale.unit(frame.points), y)),))
+    y = np.stack([to_dq(response).y.reshape(-1, ELEMENTS) for response in responses], axis=1)  # (f, m, 4)
+    middle, size = y.mean(axis=1), np.linalg.norm(y, axis=2).mean(axis=1)
+    x, relative = frame.scale.unit(frame.points), (y - middle[:, None]) / size[:, None, None]
+    regressors = tuple(_fitted(x, np.hstack([at.real, at.imag])) for at in relative)
+    return replace(frame, pieces=(Processes(regressors, middle, size),))
 
 
 def _fitted(x: np.ndarray, y: np.ndarray) -> Any:
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    smooth = ConstantKernel(10.0, (1e-2, 1e6)) * RBF(np.ones(x.shape[1]), (0.1, 100.0))
-    kernel = smooth + WhiteKernel(1e-8, (1e-13, 1e-1))
-    process = GaussianProcessRegressor(kernel, alpha=0.0, normalize_y=True, random_state=0)
+    smooth = ConstantKernel(1.0, (1e-6, 1e6)) * RBF(np.ones(x.shape[1]), (0.1, 100.0))
+    process = GaussianProcessRegressor(smooth + WhiteKernel(1e-8, (1e-14, 1e-1)), alpha=0.0, random_state=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of parameters at their bounds
-        return process.fit(x, np.hstack([y.real, y.imag]))
+        return process.fit(x, y)
