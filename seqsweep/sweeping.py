@@ -457,4 +457,4 @@ def _run_region(config: Config, output: Path, workers: int, force: bool, progres
     with _shown(progress) as shown:
         outcome = sweep_region(config, output, one_round, shown.say)
     if not outcome.certified:
-        _warn([f"Y is not certified to {outcome.tolerance:g}: a larger `most` sweeps on, or ask for less"])
+        _warn([f"not reached: {outcome.promise}; a larger `most` sweeps on, or ask for less"])

@@ -35,26 +35,26 @@ class Progress:
 
     Attributes
     ----------
-    largest_bar : float
-        Largest 95 % radius of Y over region and frequencies, relative to ||Y||.
+    doubt : float
+        The largest that is left over the region, in the unit of the tolerance: of Y, its 95 % radius relative to ||Y||.
     at : (d,) float
         Where it stands (MW, Mvar, pu, parameters).
     missed : tuple of float
-        By how much the latest sweeps missed their prediction at most, relative to ||Y||, oldest first; sweeps that were
+        By how much the latest sweeps missed their prediction at most, in the same unit, oldest first; sweeps that were
         made where nothing was predicted, in the gap of a jump, are not among them.
     width : float
         Of the gap of a jump, in parts of the feature's range; zero without one.
     """
 
-    largest_bar: float
+    doubt: float
     at: np.ndarray
     missed: tuple[float, ...]
     width: float = 0.0
 
-    def is_certified(self, tolerance: float) -> bool:
-        """Whether the bar, `WIDER` times, and the last `FRESH` sweeps agree with the tolerance."""
+    def is_certified(self, tolerance: float, wider: float = WIDER) -> bool:
+        """Whether the doubt, ``wider`` times, and the last `FRESH` sweeps agree with the tolerance."""
         fresh = self.missed[-FRESH:]
-        known = self.width <= WIDTH and WIDER * self.largest_bar <= tolerance
+        known = self.width <= WIDTH and wider * self.doubt <= tolerance
         return known and len(fresh) == FRESH and max(fresh) <= tolerance
 
 
@@ -86,12 +86,17 @@ def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]
     candidates = region.samples(_CANDIDATES)
     candidates = candidates[surrogate.holds(candidates)]
     relative = surrogate.evaluate(candidates).relative.max(axis=1)
+    return apart_from_swept(surrogate, candidates, relative), float(relative.max())
+
+
+def apart_from_swept(surrogate: Surrogate, candidates: np.ndarray, doubt: np.ndarray) -> np.ndarray:
+    """Of points (p, d) the one (d,) with the largest doubt that is not too near a swept point to tell anything."""
+    region = surrogate.region
     axes = np.flatnonzero(region.varies)
     size = (region.high - region.low)[axes]
     apart = np.abs(candidates[:, None, axes] - surrogate.points[None][:, :, axes]) / size
     free = apart.max(axis=2).min(axis=1) > _APART
-    ranked = np.where(free, relative, -1.0)
-    return candidates[int(np.argmax(ranked))], float(relative.max())
+    return np.asarray(candidates[int(np.argmax(np.where(free, doubt, -1.0)))])
 
 
 def gap_of(surrogate: Surrogate) -> tuple[float, np.ndarray | None]:
@@ -103,13 +108,19 @@ def gap_of(surrogate: Surrogate) -> tuple[float, np.ndarray | None]:
     return width, surrogate.border.question(surrogate.points, points, WIDTH) if width > WIDTH else None
 
 
-def missed_by(surrogate: Surrogate, response: FrequencyResponse, point: np.ndarray) -> float:
-    """Largest ||Y - Y predicted||_F / ||Y||_F over the rows of a fresh sweep at ``point`` (d,)."""
+def fresh_rows(surrogate: Surrogate, response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray]:
+    """The usable rows of a sweep at the surrogate's frequencies: their places (n,) there, and Y (n, 2, 2) in dq."""
     data = to_dq(response)
     at = np.abs(surrogate.nu_hz[None] - data.nu_hz[:, None]).argmin(axis=1)
     same = np.abs(surrogate.nu_hz[at] - data.nu_hz) <= 1e-6 * data.nu_hz
-    predicted = surrogate.evaluate(point[None]).y[0, at[same]]
-    off = np.linalg.norm(predicted - data.y[same], axis=(1, 2)) / np.linalg.norm(data.y[same], axis=(1, 2))
+    return at[same], data.y[same]
+
+
+def missed_by(surrogate: Surrogate, response: FrequencyResponse, point: np.ndarray) -> float:
+    """Largest ||Y - Y predicted||_F / ||Y||_F over the rows of a fresh sweep at ``point`` (d,)."""
+    at, y = fresh_rows(surrogate, response)
+    predicted = surrogate.evaluate(point[None]).y[0, at]
+    off = np.linalg.norm(predicted - y, axis=(1, 2)) / np.linalg.norm(y, axis=(1, 2))
     return float(off.max(initial=0.0))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
@@ -128,32 +127,17 @@ def on_grid(table: Table, grid: Grid, asked: Asked) -> Table:
     return replace(table, responses=tuple(responses), meta={**table.meta, "operating_points": []})
 
 
-def situations(model: Surrogate, grid: str, source_voltage: float | None) -> list[Situation]:
-    """The grids that ``--grid`` names: one, or a bank."""
-    from ...tuning.bank.entries import bank_of
-    from ...tuning.grids.open import open_grid
-    from ...tuning.grids.regions import RegionGrid
-
-    path = Path(grid)
-    if path.is_dir() or path.suffix.lower() in (".toml", ".parquet"):
-        opened = [(entry.grid_id, entry.open(model.f1_hz)) for entry in bank_of(path)]
-        if any(isinstance(each, RegionGrid) for _, each in opened):
-            raise WrongInput(f"{grid}: a region of Z has no single worst operating point; give its members")
-        return [situation_of(model, name, each, source_voltage) for name, each in opened]  # type: ignore[arg-type]
-    one = open_grid(grid, model.f1_hz)
-    return [situation_of(model, one.label, one, source_voltage)]
-
-
 def tune_worst(
     table: Table, grid: str, least: Least, margin: float, asked: Asked, sweeps: int, jobs: int
 ) -> tuple[TuningResult, str]:
     """The worst operating point over the region, confirmed by sweeps, and what is to be said of it."""
     from ...tuning.region.worst import Worst, worst_of_bank
     from ...tuning.result import TuningResult
+    from ..region.goals import situations_of
     from ..worst import confirmed_worst, predicted_worst, sweeping
 
     model, values = model_of(table), dict(map(named_value, asked.parameters or ()))
-    grids = situations(model, grid, asked.source_voltage)
+    grids = situations_of(grid, model.f1_hz, asked.source_voltage, model.meta["bases"].get("rated_voltage_v"))
 
     def search(surrogate: Surrogate) -> Worst:
         return worst_of_bank(surrogate.fixed(**values), grids, least, margin)

@@ -160,7 +160,7 @@ def _run_region(config: Config, output: Path, running: Running, force: bool) -> 
         shutil.rmtree(folder)
     outcome = sweep_region(config, output, one_round, remark)
     report_statuses(output, outcome.statuses)
-    known = f"Y is certified to {outcome.tolerance:g} over the region"
+    known = outcome.promise
     if not outcome.certified:
         known = "the tolerance was not reached: a larger `most` sweeps on, or ask for less"
     remark(f"{outcome.n_points} operating points; {known}")

@@ -25,6 +25,7 @@ from .sections import (
     PlantSection,
     SourceSection,
     SweepSection,
+    ToleranceSection,
 )
 
 
@@ -38,7 +39,7 @@ def checked(data: Mapping[str, Any], folder: Path) -> tuple[Config | None, list[
 
     Files of elements are named relative to ``folder``.
     """
-    full, misread = with_elements(data, folder)
+    full, misread = with_elements(_beside(data, folder), folder)
     if misread:
         return None, [Problem(*each) for each in misread]
     named = _with_ids(full)
@@ -51,6 +52,17 @@ def checked(data: Mapping[str, Any], folder: Path) -> tuple[Config | None, list[
         return config, []
     order = list(Config.model_fields)
     return None, sorted(problems, key=lambda p: order.index(str(p.keys[0])) if p.keys[0] in order else len(order))
+
+
+def _beside(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """The campaign with the grid of a tolerance named as it is reached from here, where it lies beside the campaign."""
+    region = _section(_section(data, "sweep"), "operating_points")
+    tolerance = _section(region, "tolerance")
+    grid = tolerance.get("grid")
+    if not isinstance(grid, str) or not (folder / grid).exists():
+        return data
+    named = {**region, "tolerance": {**tolerance, "grid": (folder / grid).as_posix()}}
+    return {**data, "sweep": {**data["sweep"], "operating_points": named}}
 
 
 def _with_ids(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,7 +104,7 @@ def _field_problems(error: ValidationError) -> list[Problem]:
     return [problem for problem, _ in found if not (problem.keys in suggested and problem.text.startswith("missing"))]
 
 
-_BRANCHES = ("constrained-float", "literal['auto']", "float", "tuple[float, float]")
+_BRANCHES = ("constrained-float", "literal['auto']", "float", "tuple[float, float]", "number", "table")
 """What pydantic adds to the place of a value that may be of two kinds."""
 
 
@@ -146,6 +158,7 @@ def _model(keys: Keys) -> type[BaseModel] | None:
         ("operating_point", "*", "grid"): GridSection,
         ("sweep",): SweepSection,
         ("sweep", "operating_points"): OperatingPointsSection,
+        ("sweep", "operating_points", "tolerance"): ToleranceSection,
         ("injection",): InjectionSection,
         ("source",): SourceSection,
         ("source", "grid"): GridSection,
@@ -181,6 +194,7 @@ def _region(region: Any, data: Mapping[str, Any]) -> Iterator[Problem]:
         yield Problem(("operating_point",), text)
     if not isinstance(region, Mapping):
         return
+    yield from _tolerance(region.get("tolerance"))
     parameters = _section(region, "parameters")
     ranges = {**_ranges(region, ()), **_ranges(parameters, ("parameters",))}
     for keys, (low, high) in ranges.items():
@@ -193,6 +207,13 @@ def _region(region: Any, data: Mapping[str, Any]) -> Iterator[Problem]:
     for name in sorted(set(parameters) & set(_section(_section(data, "plant"), "parameters"))):
         text = "given in [plant.parameters] as well; needed: only one of them"
         yield Problem(("sweep", "operating_points", "parameters", name), text)
+
+
+def _tolerance(tolerance: Any) -> Iterator[Problem]:
+    """On grids it is of the critical mode or of the verdict."""
+    if isinstance(tolerance, Mapping) and ("mode_rad_s" in tolerance) == ("verdict" in tolerance):
+        text = "needed: mode_rad_s or verdict, one of them, with the grid or bank that it is for"
+        yield Problem(("sweep", "operating_points", "tolerance"), text)
 
 
 def _ranges(values: Mapping[str, Any], keys: Keys) -> dict[Keys, Any]:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
 from .file import ConfigError, apply, dotted, line_numbers, line_of, parse, place_of, read
 
@@ -80,6 +80,31 @@ class OperatingPointSection(_Section):
 Range = Annotated[tuple[Number, Number], Field(strict=False)]
 
 
+class ToleranceSection(_Section):
+    """A tolerance on what is decided on grids, in place of one on Y."""
+
+    mode_rad_s: Positive | None = Field(
+        default=None, description="a number above 0, in rad/s, to which the critical mode is to be known"
+    )
+    verdict: Annotated[Positive, Field(lt=1)] | None = Field(
+        default=None, description="a number between 0 and 1, the share of the region where the verdict may stay open"
+    )
+    grid: Text = Field(description='a grid or a bank in quotes, such as "0.012+0.25j", "grid.toml" or "grids/"')
+    source_voltage_pu: Positive | None = Field(
+        default=None, description="a number above 0, in pu, behind the grid; |v_pcc| then follows from the load flow"
+    )
+
+
+def _kind_of_tolerance(value: Any) -> str:
+    return "table" if isinstance(value, Mapping | ToleranceSection) else "number"
+
+
+Tolerance = Annotated[
+    Annotated[Positive, Field(lt=1), Tag("number")] | Annotated[ToleranceSection, Tag("table")],
+    Discriminator(_kind_of_tolerance),
+]
+
+
 class OperatingPointsSection(_Section):
     """A region of operating points, swept where a surrogate over it is least sure, until it is certified."""
 
@@ -90,8 +115,10 @@ class OperatingPointsSection(_Section):
         default=None,
         description="a table { name = [low, high] } of the plant's parameters that are axes, or one number for each",
     )
-    tolerance: Annotated[Positive, Field(lt=1)] = Field(
-        default=1e-3, description="a number between 0 and 1, the relative error of Y to certify over the region"
+    tolerance: Tolerance = Field(
+        default=1e-3,
+        description="a number between 0 and 1, the relative error of Y to certify over the region, or a table "
+        '{ mode_rad_s = 0.01, grid = "0.012+0.25j" } or { verdict = 0.02, grid = "grids/" }',
     )
     most: Annotated[int, Field(ge=8, le=1000)] = Field(
         default=40, description="a whole number from 8 to 1000, the operating points at which it gives up"

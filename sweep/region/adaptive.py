@@ -16,13 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...identify.response import FrequencyResponse
-from ...identify.surrogate.design import WIDER, Progress, first_points, gap_of, missed_by, next_point
+from ...identify.surrogate.design import Progress, first_points, gap_of
 from ...identify.surrogate.region import AXES, Region, name_of, told
 from ...identify.surrogate.surrogate import Surrogate, build_surrogate
 from ...identify.table.read import Table, read_table
 from ...identify.table.write import write_table
 from ...plant.errors import SeqsweepError
 from ..config.sections import Config, OperatingPointsSection
+from ..run.host import plant_or_card
+from .goals import Goal, goal_of
 from .pace import Pace
 
 Sweep = Callable[[Config, Path], None]
@@ -42,7 +44,7 @@ class RegionOutcome(NamedTuple):
     progress: Progress
     certified: bool
     n_points: int
-    tolerance: float
+    promise: str
 
 
 @dataclass(frozen=True)
@@ -92,26 +94,26 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
     """
     asked = config.sweep.operating_points
     assert asked is not None
-    region = region_of(asked)
+    region, goal = region_of(asked), _goal(config)
     folder = output.with_name(output.name + ".rounds")
     folder.mkdir(exist_ok=True)
     pace = Pace()
     swept = _with_rounds(_Swept(), config, region, first_points(region, asked.seed), folder, sweep)
     while True:
         surrogate = build_surrogate(swept.useful, region=region)
-        at, bar = next_point(surrogate, region)
+        at, doubt = goal.look(surrogate)
         width, between = gap_of(surrogate)
-        progress = Progress(bar, at if between is None else between, swept.missed, width)
-        certified = progress.is_certified(asked.tolerance)
-        pace.mark(len(swept.responses), bar)
-        words = _words(progress, surrogate, len(swept.responses), asked.tolerance)
-        say(words if certified else words + pace.left(asked.tolerance / WIDER))
+        progress = Progress(doubt, at if between is None else between, swept.missed, width)
+        certified = progress.is_certified(goal.tolerance, goal.wider)
+        pace.mark(len(swept.responses), doubt)
+        words = _words(progress, surrogate, len(swept.responses), goal)
+        say(words if certified else words + pace.left(goal.tolerance / goal.wider))
         if certified or len(swept.responses) >= asked.most or pace.is_over(asked.most_minutes):
             break
-        swept = _predicted(swept, surrogate, config, progress.at, folder, sweep)
+        swept = _predicted(swept, surrogate, config, goal, progress.at, folder, sweep)
     write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))
     shutil.rmtree(folder)
-    return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses), asked.tolerance)
+    return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses), goal.promise)
 
 
 def _with_rounds(
@@ -133,15 +135,24 @@ def _with_round(
     return found
 
 
+def _goal(config: Config) -> Goal:
+    """What the region is swept for; the plant is asked for its rating where grids are in it."""
+    assert config.sweep.operating_points is not None
+    if isinstance(config.sweep.operating_points.tolerance, float):
+        return goal_of(config.sweep.operating_points, 0.0, 0.0)
+    card = plant_or_card(config)
+    return goal_of(config.sweep.operating_points, card.f1_hz, card.rating.voltage_v)
+
+
 def _predicted(
-    swept: _Swept, surrogate: Surrogate, config: Config, at: np.ndarray, folder: Path, sweep: Sweep
+    swept: _Swept, surrogate: Surrogate, config: Config, goal: Goal, at: np.ndarray, folder: Path, sweep: Sweep
 ) -> _Swept:
     """Sweep ``at`` and hold the result against its prediction, made before."""
     found = _with_round(swept, config, surrogate.region, at[None], folder, sweep)
     fresh = found.tables[-1].responses[0]
     if not surrogate.holds(at[None])[0]:  # in the gap of a jump nothing was predicted
         return found
-    missed = missed_by(surrogate, fresh, at) if np.any(fresh.usable) else float("inf")
+    missed = goal.missed(surrogate, fresh, at) if np.any(fresh.usable) else float("inf")
     return _Swept(found.tables, (*found.missed, missed))
 
 
@@ -204,12 +215,18 @@ def _metadata(
         "configuration": config.to_dict(),
         "region": {
             "certified": certified,
-            "tolerance": asked.tolerance,
-            "largest_bar": progress.largest_bar,
+            **_tolerance_facts(asked, progress),
             "border_width": progress.width,
             "fresh_errors": [None if not np.isfinite(miss) else miss for miss in progress.missed],
         },
     }
+
+
+def _tolerance_facts(asked: OperatingPointsSection, progress: Progress) -> dict[str, Any]:
+    """What was asked, and what is left open, by its name."""
+    if isinstance(asked.tolerance, float):
+        return {"tolerance": asked.tolerance, "largest_bar": progress.doubt}
+    return {"on_grids": asked.tolerance.model_dump(exclude_none=True), "doubt": progress.doubt}
 
 
 def _statuses(responses: Sequence[FrequencyResponse]) -> dict[str, int]:
@@ -224,9 +241,8 @@ def _each_status(responses: Sequence[FrequencyResponse]) -> Iterator[str]:
         yield from np.asarray(response.status).tolist()
 
 
-def _words(progress: Progress, surrogate: Surrogate, n: int, tolerance: float) -> str:
+def _words(progress: Progress, surrogate: Surrogate, n: int, goal: Goal) -> str:
     where = told(progress.at, surrogate.region.parameters)
-    fresh = f"; the last fresh sweep was met within {progress.missed[-1]:.2g}" if progress.missed else ""
+    fresh = f"; {goal.missed_words(progress.missed[-1])}" if progress.missed else ""
     jump = "" if surrogate.border is None else f"; the device changes between {surrogate.border}"
-    bar = f"error bar {progress.largest_bar:.2g} of {tolerance:g}"
-    return f"{n} operating points: {bar} at {where}{fresh}{jump}"
+    return f"{n} operating points: {goal.words(progress.doubt)} at {where}{fresh}{jump}"

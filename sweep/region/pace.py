@@ -39,9 +39,11 @@ class Pace:
         if len(last) < 2:
             return ""
         (t0, n0, bar0), (t1, n1, bar1) = last[0], last[-1]
+        if bar0 <= 0.0 or bar1 <= 0.0:
+            return ""
         fall = (math.log(bar0) - math.log(bar1)) / max(n1 - n0, 1)
-        if fall <= 0.0 or bar1 <= 0.0:
-            return "; how long is open: the error bar does not fall"
+        if fall <= 0.0:
+            return "; how long is open: the doubt does not fall"
         points = max(math.ceil(math.log(bar1 / wanted) / fall), 1)
         seconds = points * (t1 - t0) / max(n1 - n0, 1)
         return f"; at this pace some {points} more, {seconds:.0f} s"

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from seqsweep.identify.surrogate.region import AXES
 from seqsweep.identify.surrogate.surrogate import SurrogateError, build_surrogate
 from seqsweep.identify.table.read import read_table, validate_table
-from seqsweep.identify.table.write import write_table
 from seqsweep.plant.turbine.parameters import TABLE_I
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.region.adaptive import region_of, sweep_region
 
+from ..support import oracle
 from ..support.commands import call
-from ..support.regions import BASES, facts
-from ..support.switching import swept
+from ..support.regions import F_HZ, U_V
+from ..support.rounds import exact_round
 
 ASKED = {
     "active_power_mw": [0.3, 1.2],
@@ -33,31 +31,11 @@ CAMPAIGN = {
 }
 
 
-def as_swept(config, path):
-    """A round as `run` would leave it, from the exact linearisation with the parameters of the round's campaign."""
-    given = TABLE_I._replace(**config.plant.parameters)
-    points = [np.array([p.active_power_mw, 0.0, p.terminal_voltage_pu]) for p in config.operating_point]
-    names = [p.id for p in config.operating_point]
-    measured = zip((swept(point, lambda _: given) for point in points), names, strict=True)
-    responses = [replace(response, meta={**response.meta, "op_id": name}) for response, name in measured]
-    listed = [
-        {
-            "op_id": name,
-            **dict(zip(AXES, map(float, point), strict=True)),
-            "fundamental": {**facts(point), "angle_rad": 0.0},
-        }
-        for name, point in zip(names, points, strict=True)
-    ]
-    meta = {"f1_hz": 50.0, "bases": BASES, "power_meaning": "machine", "operating_points": listed}
-    plant = {"id": "dpmsg-v1", "parameters": dict(config.plant.parameters)}
-    write_table(path, responses, {**meta, "configuration": config.to_dict(), "plant": plant})
-
-
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("pll") / "y.parquet"
     said: list[str] = []
-    outcome = sweep_region(Config.from_dict(CAMPAIGN), path, as_swept, said.append)
+    outcome = sweep_region(Config.from_dict(CAMPAIGN), path, exact_round, said.append)
     assert outcome.certified, said[-1]
     assert "k_p = 0.2, k_pp = 0." in said[-1]
     return path
@@ -82,7 +60,7 @@ def test_what_is_certified_is_right_between_the_swept_parameters(surrogate):
     random = np.random.default_rng(4)
     for power, k_pp in zip(random.uniform(0.3, 1.2, 12), random.uniform(0.05, 0.12, 12), strict=True):
         given = TABLE_I._replace(k_p=0.2, k_pp=k_pp)
-        truth = swept(np.array([power, 0.0, 1.0]), lambda _, given=given: given, noise=0.0).y
+        truth = oracle.admittance_pn(F_HZ, power * 1e6, U_V, given)
         found = surrogate.fixed(k_pp=k_pp).response([power, 0.0, 1.0]).y
         assert (np.linalg.norm(found - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))).max() < 1e-2
 

@@ -159,6 +159,6 @@ def test_the_pace_tells_what_is_left_only_while_the_bar_falls():
     pace.mark(7, 1e-2)
     assert pace.left(1.1e-4) == "; at this pace some 2 more, 20 s"
     pace.mark(8, 3e-1)
-    assert "the error bar does not fall" in pace.left(1e-4)
+    assert "the doubt does not fall" in pace.left(1e-4)
     assert pace.is_over(1.0)
     assert not Pace().is_over(None)

@@ -86,6 +86,14 @@ def covering_on(surrogate: Surrogate, situation: Situation, n: int) -> np.ndarra
     return np.vstack([situation.place(surrogate, lattice), *borders])
 
 
+def admissible(surrogate: Surrogate, situation: Situation, covering: np.ndarray) -> np.ndarray:
+    """The points at which the device can be on a grid: of a covering, or of what the load flow makes of the region."""
+    points = covering
+    if situation.source_voltage_pu is not None:
+        points = covering_on(surrogate, situation, len(covering))
+    return points[surrogate.holds(points)]
+
+
 def _lattice(surrogate: Surrogate, axes: Sequence[int], levels: int) -> np.ndarray:
     region = surrogate.region
     each = np.meshgrid(*[np.linspace(region.low[a], region.high[a], levels) for a in axes], indexing="ij")
@@ -185,4 +193,4 @@ def _fundamental(surrogate: Surrogate, point: np.ndarray) -> dict[str, Any]:
     }
 
 
-__all__ = ["Situation", "dispatches", "named", "on_grid", "predicted_on"]
+__all__ = ["Situation", "admissible", "dispatches", "named", "on_grid", "predicted_on"]

@@ -16,8 +16,9 @@ from ...identify.surrogate.surrogate import Surrogate
 from ..siso import Grid, siso
 
 _BISECTIONS = 40
-_WINDOW = 9  # rows by which a mode near the axis is followed into the plane
-_ORDER = 3  # of the rational function through them
+
+_ORDERS = (6, 5)
+"""Of the rational functions that follow a mode near the axis into the plane; the second tells how far to trust it."""
 
 
 class Scan(NamedTuple):
@@ -30,28 +31,48 @@ class Scan(NamedTuple):
     margin_low : (p,) float
         m less what the 95 % region of Y leaves open at the crossing, to first order and in the worst direction.
     damping : (p,) float
-        -Re(lambda)/|lambda| in the phase frame's distance from f1, of the mode at the crossing; infinite without one.
+        -Re(lambda)/|lambda| of the critical mode, in the phase frame's distance from f1; infinite without one.
+    mode : (p,) complex
+        The critical mode lambda (rad/s, dq frame, Im > 0): of those at the crossings the least damped; NaN without one.
+    mode_radius : (p,) float
+        How far it may be off (rad/s): the 95 % region of Y, to first order and in the worst direction, and what two
+        rational functions through the rows near it differ by; infinite without one.
+    sure : (p,) float
+        Distance of the verdict from being another one, in radii of the modes that decide it: positive where all modes
+        at crossings decay, negative where one grows; infinite without a crossing.
     """
 
     margin_m: np.ndarray
     margin_low: np.ndarray
     damping: np.ndarray
+    mode: np.ndarray
+    mode_radius: np.ndarray
+    sure: np.ndarray
+
+    @classmethod
+    def of_none(cls) -> Scan:
+        """No operating point."""
+        return cls(*[np.zeros(0)] * 3, np.zeros(0, dtype=complex), *[np.zeros(0)] * 2)
 
 
 def scan(surrogate: Surrogate, grid: Grid, points: np.ndarray) -> Scan:
-    """Margin, its lower bound and damping at operating points (p, d) of the region on a grid."""
+    """Margin, its lower bound, damping and mode at operating points (p, d) of the region on a grid."""
     found = surrogate.evaluate(points)
-    nu_hz, n = surrogate.nu_hz, len(points)
-    y = dq_to_pn(found.y)
-    f_hz = np.tile(grid.f1_hz + nu_hz, n)
-    flat = siso(f_hz, y.reshape(-1, 2, 2), grid)
+    return scan_rows(surrogate.nu_hz, found.y, found.radius, grid)
+
+
+def scan_rows(nu_hz: np.ndarray, y_dq: np.ndarray, radius: np.ndarray, grid: Grid) -> Scan:
+    """The same of admittances (p, f, 2, 2) in the dq frame at |f - f1| (f,); ``radius`` (p, f): their 95 % region."""
+    n = len(y_dq)
+    y = dq_to_pn(y_dq)
+    flat = siso(np.tile(grid.f1_hz + nu_hz, n), y.reshape(-1, 2, 2), grid)
     y1, yg1, yg2 = (part.reshape(n, -1) for part in (flat.y1, flat.yg1, flat.yg2))
     log_ratio = np.log(-y1 / yg1)
     log_ratio = log_ratio.real + 1j * np.unwrap(log_ratio.imag, axis=1)
     at = _crossings(np.log(nu_hz), log_ratio)
-    wide = found.radius * (1.0 + np.abs(y[..., 0, 1] / (y[..., 1, 1] + yg2)))
+    wide = radius * (1.0 + np.abs(y[..., 0, 1] / (y[..., 1, 1] + yg2)))
     wide = wide * (1.0 + np.abs(y[..., 1, 0] / (y[..., 1, 1] + yg2))) / np.abs(y1)
-    return _least(nu_hz, at, wide, y1 + yg1, n)
+    return _least(nu_hz, at, wide, y1, y1 + yg1)
 
 
 class _Crossing(NamedTuple):
@@ -89,36 +110,63 @@ def _cubic(c: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.asarray(((c[0] * x + c[1]) * x + c[2]) * x + c[3])
 
 
-def _least(nu_hz: np.ndarray, at: _Crossing, wide: np.ndarray, loop: np.ndarray, n: int) -> Scan:
-    """Of each point's crossings the one with the least m."""
-    margin, low, damping = (np.full(n, np.inf) for _ in range(3))
-    order = np.lexsort((at.m, at.point))
-    first = order[np.concatenate([[True], np.diff(at.point[order]) > 0])] if len(order) else order
-    point, interval = at.point[first], at.interval[first]
-    doubt = np.maximum(wide[point, interval], wide[point, interval + 1]) * np.hypot(1.0, at.lean[first])
-    margin[point] = at.m[first]
-    low[point] = at.m[first] * np.maximum(1.0 - doubt, 0.0)
-    damping[point] = _dampings(nu_hz, np.exp(at.log_nu[first]), loop[point], interval)
-    return Scan(margin, low, damping)
+def _least(nu_hz: np.ndarray, at: _Crossing, wide: np.ndarray, y1: np.ndarray, loop: np.ndarray) -> Scan:
+    """Of each point's crossings the one with the least m, and the mode with the least damping."""
+    n = len(loop)
+    margin, low, damping, radius, sure = (np.full(n, np.inf) for _ in range(5))
+    mode = np.full(n, np.nan, dtype=complex)
+    off = np.maximum(wide[at.point, at.interval], wide[at.point, at.interval + 1])
+    first = _first_of_each(at.point, at.m)
+    margin[at.point[first]] = at.m[first]
+    leaning = np.hypot(1.0, at.lean[first])
+    low[at.point[first]] = at.m[first] * np.maximum(1.0 - off[first] * leaning, 0.0)
+    found, slope = _modes(nu_hz, at, loop, _ORDERS[0])
+    other, _ = _modes(nu_hz, at, loop, _ORDERS[1])
+    unsure = np.hypot(off * np.abs(y1[at.point, at.interval]) / slope, np.abs(found - other)) + 1e-12
+    ratio = -found.real / np.abs(found)
+    critical = _first_of_each(at.point, ratio)
+    point = at.point[critical]
+    damping[point], mode[point], radius[point] = ratio[critical], found[critical], unsure[critical]
+    np.minimum.at(sure, at.point, np.where(found.real < 0.0, -found.real / unsure, np.inf))
+    growing = np.zeros(n)
+    np.maximum.at(growing, at.point, np.maximum(found.real, 0.0) / unsure)
+    return Scan(margin, low, damping, mode, radius, np.where(growing > 0.0, -growing, sure))
 
 
-def _dampings(nu_hz: np.ndarray, at_hz: np.ndarray, loop: np.ndarray, interval: np.ndarray) -> np.ndarray:
-    """Damping ratio in the dq frame of the zero of Y1 + Yg1 near each crossing, by a rational function."""
-    first = np.clip(interval - _WINDOW // 2 + 1, 0, max(len(nu_hz) - _WINDOW, 0))
-    rows = first[:, None] + np.arange(min(_WINDOW, len(nu_hz)))
-    scale = at_hz[:, None]
-    x = (nu_hz[rows] - scale) / scale  # s = j 2 pi at_hz (1 + x)
-    values = np.take_along_axis(loop, rows, axis=1)
-    powers = x[..., None] ** np.arange(_ORDER + 1)
+def _first_of_each(point: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Indices of the least value of each point."""
+    order = np.lexsort((value, point))
+    return order[np.concatenate([[True], np.diff(point[order]) > 0])] if len(order) else order
+
+
+def _modes(nu_hz: np.ndarray, at: _Crossing, loop: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """The zero (rad/s) of Y1 + Yg1 near each crossing, and |d(Y1 + Yg1)/ds| there, by a rational function of the rows.
+
+    Numerator and denominator of degree n pass through 2 n + 3 rows about the crossing, in least squares.
+    """
+    order = max(1, min(order, (len(nu_hz) - 3) // 2))
+    count = min(2 * order + 3, len(nu_hz))
+    first = np.clip(at.interval - count // 2 + 1, 0, len(nu_hz) - count)
+    rows = first[:, None] + np.arange(count)
+    scale = np.exp(at.log_nu)
+    x = (nu_hz[rows] - scale[:, None]) / scale[:, None]  # s = j 2 pi scale (1 + x)
+    values = np.take_along_axis(loop[at.point], rows, axis=1)
+    powers = x[..., None] ** np.arange(order + 1)
     system = np.concatenate([powers, -values[..., None] * powers], axis=2) / np.abs(values)[..., None]
-    coefficients = np.linalg.svd(system)[2][:, -1].conj()[:, : _ORDER + 1]
-    return np.array([_nearest_damping(c) for c in coefficients])
+    numerator, denominator = np.split(np.linalg.svd(system)[2][:, -1].conj(), 2, axis=1)
+    zeros = _nearest_zeros(numerator)
+    degrees = np.arange(1, order + 1)
+    rising = np.sum(numerator[:, 1:] * degrees * zeros[:, None] ** (degrees - 1), axis=1)
+    slope = np.abs(rising / np.sum(denominator * zeros[:, None] ** np.arange(order + 1), axis=1))
+    return 2j * np.pi * scale * (1.0 + zeros), slope / (2.0 * np.pi * scale)
 
 
-def _nearest_damping(coefficients: np.ndarray) -> float:
-    """Of the numerator's zeros x, s proportional to j (1 + x), the one nearest to the crossing."""
-    zeros = np.roots(coefficients[::-1])
-    if len(zeros) == 0:
-        return float("inf")
-    s = 1j * (1.0 + zeros[np.argmin(np.abs(zeros))])
-    return float(-s.real / abs(s))
+def _nearest_zeros(polynomials: np.ndarray) -> np.ndarray:
+    """(n,) of polynomials (n, degree + 1) in x, rising, the zeros nearest to x = 0: eigenvalues of their companions."""
+    degree = polynomials.shape[1] - 1
+    leading = polynomials[:, -1:]
+    monic = polynomials[:, :-1] / np.where(np.abs(leading) > 1e-12, leading, 1e-12)
+    companion = np.tile(np.eye(degree, k=-1, dtype=complex), (len(polynomials), 1, 1))
+    companion[:, :, -1] = -monic
+    zeros = np.linalg.eigvals(companion)
+    return np.asarray(np.take_along_axis(zeros, np.abs(zeros).argmin(axis=1)[:, None], axis=1)[:, 0])

@@ -18,7 +18,7 @@ from ...plant.errors import SeqsweepError
 from ..result import PointTuning
 from ..siso import Grid
 from ..tune import tune_point
-from .loadflow import Situation, covering_on
+from .loadflow import Situation, admissible
 from .scan import Scan, scan
 
 Least = Literal["margin", "damping", "probability"]
@@ -150,12 +150,9 @@ def worst_of_bank(
 
 def _covered(surrogate: Surrogate, situation: Situation, covering: np.ndarray, least: Least) -> _Covered:
     """The admissible points on one grid: of a covering of the region, or of what the load flow makes of it."""
-    points = covering
-    if situation.source_voltage_pu is not None:
-        points = covering_on(surrogate, situation, len(covering))
-    points = points[surrogate.holds(points)]
+    points = admissible(surrogate, situation, covering)
     if len(points) == 0:
-        return _Covered(situation, points, Scan(*[np.zeros(0)] * 3), np.zeros(0))
+        return _Covered(situation, points, Scan.of_none(), np.zeros(0))
     found = scan(surrogate, situation.grid, points)
     return _Covered(situation, points, found, _cost(found, least))
 
