@@ -43,8 +43,11 @@ class Goal(Protocol):
         What holds once it is certified.
     """
 
-    tolerance: float
-    wider: float
+    @property
+    def tolerance(self) -> float: ...
+
+    @property
+    def wider(self) -> float: ...
 
     @property
     def promise(self) -> str: ...

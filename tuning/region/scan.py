@@ -52,7 +52,8 @@ class Scan(NamedTuple):
     @classmethod
     def of_none(cls) -> Scan:
         """No operating point."""
-        return cls(*[np.zeros(0)] * 3, np.zeros(0, dtype=complex), *[np.zeros(0)] * 2)
+        none = np.zeros(0)
+        return cls(none, none, none, none.astype(complex), none, none)
 
 
 def scan(surrogate: Surrogate, grid: Grid, points: np.ndarray) -> Scan:
