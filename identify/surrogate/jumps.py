@@ -40,6 +40,9 @@ APART = 2.0
 DECIDING = 6
 """Frequencies that decide."""
 
+CLEARLY, BETTER, OVERWHELMING = 2e-2, 3.0, 25.0
+"""Where the whole is met this badly and the sides so much better, this evidence alone tells two devices."""
+
 EVIDENCE = 6.0
 """Twice the log-likelihood ratio from which on a split is looked at: the odds are twenty to one."""
 
@@ -155,7 +158,7 @@ def _range(value: np.ndarray) -> float:
 
 def least_side(n_axes: int) -> int:
     """Fewest sweeps on a side that can be told to be another device."""
-    return 2 * n_axes + 2
+    return n_axes + 2
 
 
 def find_border(
@@ -186,9 +189,21 @@ def find_border(
         return None
     settled = (_settled(points, few, part, region, features) for part in partitions)
     found = [split for split in settled if split is not None]
-    better = [s for s in found if s.score * GAIN <= whole or s.score <= 3.0 * few.noise]
-    best = min(better, key=lambda s: s.score, default=None)
-    return None if best is None or not _differ(points, few, best) else best.border
+    best = min(found, key=lambda s: s.score, default=None)
+    return best.border if best is not None and _are_two(points, few, best, whole) else None
+
+
+def _are_two(points: np.ndarray, few: _Few, split: _Split, whole: float) -> bool:
+    """Whether the sides of a split are two devices, the whole being met with the left-out error ``whole``.
+
+    With few sweeps on one side its model says little yet: there the evidence counts, if it is overwhelming.
+    """
+    if whole >= CLEARLY and split.score * BETTER <= whole:
+        evidence = evidence_of(few.data, few.variance, split.side[None])[0]
+        if evidence >= OVERWHELMING:
+            return True
+    better = split.score * GAIN <= whole or split.score <= 3.0 * few.noise
+    return better and _differ(points, few, split)
 
 
 class _Few(NamedTuple):

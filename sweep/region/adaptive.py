@@ -136,12 +136,13 @@ def _with_round(
 
 
 def _goal(config: Config) -> Goal:
-    """What the region is swept for; the plant is asked for its rating where grids are in it."""
-    assert config.sweep.operating_points is not None
-    if isinstance(config.sweep.operating_points.tolerance, float):
-        return goal_of(config.sweep.operating_points, 0.0, 0.0)
-    card = plant_or_card(config)
-    return goal_of(config.sweep.operating_points, card.f1_hz, card.rating.voltage_v)
+    """What the region is swept for; a grid in it is of the fundamental and the rating that the plant promises."""
+    asked = config.sweep.operating_points
+    assert asked is not None
+    if isinstance(asked.tolerance, float):
+        return goal_of(asked, 0.0, 0.0)
+    plant = plant_or_card(config)
+    return goal_of(asked, plant.f1_hz, plant.rating.voltage_v)
 
 
 def _predicted(
