@@ -100,12 +100,18 @@ def apart_from_swept(surrogate: Surrogate, candidates: np.ndarray, doubt: np.nda
 
 
 def gap_of(surrogate: Surrogate) -> tuple[float, np.ndarray | None]:
-    """Width of the gap of a jump, and the operating point (d,) that narrows it; None where it is narrow enough."""
-    if surrogate.border is None:
+    """Width of the gap of a jump, and the operating point (d,) that narrows it; None where it is narrow enough.
+
+    A jump that is only suspected has no width yet, but its point too: two sweeps close together tell a jump from a
+    slope.
+    """
+    border = surrogate.border or surrogate.suspected
+    if border is None:
         return 0.0, None
     points = surrogate.region.samples(_CANDIDATES)
-    width = surrogate.border.width(points)
-    return width, surrogate.border.question(surrogate.points, points, WIDTH) if width > WIDTH else None
+    width = border.width(points)
+    question = border.question(surrogate.points, points, WIDTH) if width > WIDTH else None
+    return (0.0 if surrogate.border is None else width), question
 
 
 def fresh_rows(surrogate: Surrogate, response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray]:

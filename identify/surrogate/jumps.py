@@ -161,10 +161,17 @@ def least_side(n_axes: int) -> int:
     return n_axes + 2
 
 
+class Findings(NamedTuple):
+    """Where the device changes; where it may change, the sweeps saying too little yet. None: nowhere."""
+
+    border: Border | None = None
+    suspected: Border | None = None
+
+
 def find_border(
     points: np.ndarray, data: Data, region: np.ndarray, noise: np.ndarray | None, parameters: Sequence[str] = ()
-) -> Border | None:
-    """The border of a jump, or None where the sweeps show none.
+) -> Findings:
+    """The border of a jump, where the sweeps show one, or where there may be one.
 
     Parameters
     ----------
@@ -183,14 +190,16 @@ def find_border(
     few = _thinned(data, noise)
     partitions = _partitions(points, few, features)
     if not partitions:
-        return None
+        return Findings()
     whole = fit_shape(few.data, choose_shapes(few.data, region)[0]).score
     if whole < max(WORTH, GAIN * few.noise):
-        return None
+        return Findings()
     settled = (_settled(points, few, part, region, features) for part in partitions)
     found = [split for split in settled if split is not None]
     best = min(found, key=lambda s: s.score, default=None)
-    return best.border if best is not None and _are_two(points, few, best, whole) else None
+    if best is None:
+        return Findings()
+    return Findings(best.border) if _are_two(points, few, best, whole) else Findings(suspected=best.border)
 
 
 def _are_two(points: np.ndarray, few: _Few, split: _Split, whole: float) -> bool:

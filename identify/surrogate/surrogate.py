@@ -103,6 +103,8 @@ class Surrogate:
         One device, or two where it changes at ``border``: below and above.
     border : Border or None
         Where the admittance jumps; nothing is said within its gap.
+    suspected : Border or None
+        Where it may jump, the sweeps saying too little yet; it is smooth there in this model.
     terminal : Fitted
         The fundamental current at the PCC, i_d + j i_q as the first element (A, RMS, out of the device, d on v_pcc).
     meta : mapping
@@ -116,6 +118,7 @@ class Surrogate:
     scale: Scale
     pieces: tuple[Piece, ...]
     border: Border | None
+    suspected: Border | None
     terminal: Fitted | None
     meta: Mapping[str, Any]
 
@@ -291,8 +294,10 @@ def build_surrogate(
     scale = scale_of(points, region)
     nu_hz, data, noise = _data_of(responses, scale.unit(points))
     guarded = region.samples(64)
+    suspected = None
     if chosen is None:
-        chosen = Chosen(find_border(points, data, scale.unit(guarded), noise, parameters))
+        border, suspected = find_border(points, data, scale.unit(guarded), noise, parameters)
+        chosen = Chosen(border)
     sides = [np.ones(len(points), dtype=bool)]
     if chosen.border is not None:
         sides = [chosen.border.side(points) == number for number in (0, 1)]
@@ -310,6 +315,7 @@ def build_surrogate(
         scale=scale,
         pieces=pieces,
         border=chosen.border,
+        suspected=suspected,
         terminal=_terminal(responses, data.x),
         meta={**_common_facts(responses), "bases": dict(bases or {})},
     )

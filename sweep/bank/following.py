@@ -26,7 +26,7 @@ class Following:
     powers : tuple of (float, float)
         P (MW) and Q (Mvar).
     source_voltage_pu : float or None
-        Behind every grid.
+        Behind every grid whose file does not say it.
     """
 
     surrogate: Surrogate
@@ -52,7 +52,7 @@ class Following:
             grid = entry.open(self.f1_hz)
             member = grid.member if isinstance(grid, RegionGrid) else grid
             rated = self._bases.get("rated_voltage_v")
-            situation = Situation(entry.grid_id, member, self.source_voltage_pu, rated)
+            situation = Situation(entry.grid_id, member, entry.source_voltage_pu(self.source_voltage_pu), rated)
             return fitted(predicted_on(self.surrogate, self.powers[op], situation))
         except SeqsweepError as error:
             return Device(self._nowhere(op), problem=str(error))

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 SourceVoltage = Annotated[
     float | None,
-    typer.Option(metavar="PU", help="A surrogate's |v| follows by load flow from this voltage behind the grid."),
+    typer.Option(
+        metavar="PU", help="A surrogate's |v| follows by load flow from this voltage behind grids whose file says none."
+    ),
 ]
 Power = Annotated[
     list[str] | None,
@@ -87,6 +89,13 @@ class Asked(NamedTuple):
     power: Sequence[str] | None
     source_voltage: float | None
     parameters: Sequence[str] | None
+
+    def behind(self, grid: str) -> Asked:
+        """The same with the source voltage that the grid's file says, where it says one."""
+        from ...tuning.grids.open import source_voltage_of
+
+        own = source_voltage_of(grid)
+        return self if own is None else self._replace(source_voltage=own)
 
     def check_unasked(self) -> None:
         """Refuse what only a surrogate can answer."""
@@ -156,11 +165,12 @@ def tune_worst(
             say=remark,
         )
     provenance: dict[str, Any] = {"table_sha256": table.meta["sha256"], "least": least}
-    words = _told(found, len(grids), model.region.parameters)
+    free_v = bool(model.region.varies[2]) and any(each.source_voltage_pu is None for each in grids)
+    words = _told(found, len(grids), model.region.parameters, free_v)
     return TuningResult(found.worst.situation.grid, margin, (found.tuning,), provenance), words
 
 
-def _told(found: ConfirmedWorst, n_grids: int, parameters: Sequence[str]) -> str:
+def _told(found: ConfirmedWorst, n_grids: int, parameters: Sequence[str], free_v: bool) -> str:
     from ...identify.surrogate.region import told
 
     worst = found.worst
@@ -171,6 +181,10 @@ def _told(found: ConfirmedWorst, n_grids: int, parameters: Sequence[str]) -> str
         f"{worst.n_points} operating points were scanned.",
         _swept(found),
     ]
+    if free_v:
+        lines.insert(
+            1, "|v| was searched over its range like the powers; with --source-voltage it follows from the grid."
+        )
     if found.open_m is None:
         lines.append("At 95 % no other point of the region has an m that is lower by more than 0.5 %.")
     else:

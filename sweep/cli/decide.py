@@ -79,7 +79,7 @@ def tune(
     else:
         on: Grid | Literal["own"] = "own" if grid.strip().lower() == "own" else open_grid(grid, content.meta["f1_hz"])
         if is_surrogate(content) and on != "own":
-            content = on_grid(content, on, asked)
+            content = on_grid(content, on, asked.behind(grid))
         else:
             asked.check_unasked()
         found = judge(content, on, margin=margin, op_ids=op, scales=scales)

@@ -6,10 +6,10 @@ missed its prediction, all three in the unit of its tolerance. The sweep goes on
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -208,7 +208,7 @@ def goal_of(asked: OperatingPointsSection, f1_hz: float, rated_voltage_v: float)
 def situations_of(
     grid: str, f1_hz: float, source_voltage_pu: float | None, rated_voltage_v: float | None
 ) -> tuple[Situation, ...]:
-    """The grids that a text names: R+jX, a file, or a bank.
+    """The grids that a text names: R+jX, a file, or a bank; each with the source voltage of its file, else that given.
 
     Raises
     ------
@@ -217,10 +217,11 @@ def situations_of(
     """
     path = Path(grid)
     if path.is_dir() or path.suffix.lower() in (".toml", ".parquet"):
-        opened: Mapping[str, Any] = {entry.grid_id: entry.open(f1_hz) for entry in bank_of(path)}
+        entries = bank_of(path)
+        opened = [(each.grid_id, each.open(f1_hz), each.source_voltage_pu(source_voltage_pu)) for each in entries]
     else:
         one = open_grid(grid, f1_hz)
-        opened = {one.label: one}
-    if any(isinstance(each, RegionGrid) for each in opened.values()):
+        opened = [(one.label, one, source_voltage_pu)]
+    if any(isinstance(each, RegionGrid) for _, each, _ in opened):
         raise SeqsweepError(f"{grid}: a region of Z has no single worst operating point; give its members")
-    return tuple(Situation(name, each, source_voltage_pu, rated_voltage_v) for name, each in opened.items())
+    return tuple(Situation(name, each, voltage_pu, rated_voltage_v) for name, each, voltage_pu in opened)  # type: ignore[arg-type]

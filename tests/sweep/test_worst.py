@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from seqsweep.identify.surrogate.design import first_points
 from seqsweep.identify.table.read import read_table
 from seqsweep.sweep.worst import confirmed_worst, sweeping
-from seqsweep.tuning.region.worst import worst_of_bank
+from seqsweep.tuning.region.scan import Scan
+from seqsweep.tuning.region.worst import _cost, worst_of_bank
 
 from ..support.commands import call
 from ..support.regions import BASES, PQV, PV, bank_of_27, brute_force, exact_margin, swept
@@ -81,6 +84,34 @@ def test_judge_takes_a_surrogate(files):
     done = call("judge", files / "s.parquet", "--grids", files / "one.toml", "--source-voltage", 1.0, "--jobs", 1)
     assert done.returncode == 0, done.stderr + done.stdout
     assert "p0.3_q0" in done.stdout
+
+
+def test_judge_takes_the_source_voltage_that_a_grid_s_file_says(files):
+    for name, source in (("low", 0.98), ("high", 1.02)):
+        base = f"rated_power_mw = 1.632\nvoltage_kv = 0.69\nsource_voltage_pu = {source}\n"
+        (files / "two").mkdir(exist_ok=True)
+        (files / "two" / f"{name}.toml").write_text(base + "[[element]]\nkind = 'source'\nscr = 10\nx_over_r = 12\n")
+    asked = ("--power", "0.6", "--jobs", 1, "--json")
+    done = call("judge", files / "s.parquet", "--grids", files / "two", *asked)
+    assert done.returncode == 0, done.stderr + done.stdout
+    high, low = sorted(json.loads(done.stdout), key=lambda row: row["grid_id"])
+    assert (high["grid_id"], low["grid_id"]) == ("high.toml", "low.toml")
+    assert high["margin_m"] > low["margin_m"] * 1.01
+
+
+def test_the_worst_point_without_a_source_voltage_says_that_the_voltage_was_free(files):
+    done = call("tune", files / "s.parquet", "--worst", "--sweeps", 0, "--grid", "0.01+0.12j")
+    assert done.returncode == 0, done.stderr
+    assert "|v| was searched over its range like the powers" in done.stdout
+
+
+@pytest.mark.parametrize("least", ["margin", "damping", "probability"])
+def test_points_without_a_crossing_are_the_last_of_all_and_no_warning(least):
+    none = np.array([np.inf])
+    found = Scan(*(np.append(none, value) for value in (0.9, 0.8, 0.1, -1.0 + 2.0j, 0.1, 1.0)))
+    cost = _cost(found, least)
+    assert cost[0] == np.inf
+    assert np.isfinite(cost[1])
 
 
 REFUSED = {

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...identify.table.format import FORMAT as TABLE_FORMAT
 from ..grids.errors import GridError, NotAGrid, refuse_other_document, refuse_other_format
-from ..grids.open import GRID_SUFFIXES, grid_of_document, open_file, read_document
+from ..grids.open import GRID_SUFFIXES, grid_of_document, open_file, read_document, source_voltage_of
 from ..grids.promise import Grid
 from ..grids.regions import RegionGrid
 from ..grids.tables import ZTable, format_of_json, grid_of_table
@@ -54,6 +54,11 @@ class BankEntry:
     table: ZTable | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
     problem: str = ""
+
+    def source_voltage_pu(self, otherwise: float | None) -> float | None:
+        """Voltage (pu of the device's rating) behind the grid: as its file says, else what stands for all grids."""
+        own = source_voltage_of(self.file) if self.document is None else self.document.get("source_voltage_pu")
+        return otherwise if own is None else float(own)
 
     def open(self, f1_hz: float) -> Grid | RegionGrid:
         """The grid.

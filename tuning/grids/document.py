@@ -29,7 +29,9 @@ from .errors import GridError
 from .voltages import check_place, check_sides
 
 PCC, SOURCE = "pcc", "source"
-TOP_KEYS = ("f1_hz", "voltage_kv", "rated_power_mw", "name", "element")
+_LEAST_PU, _MOST_PU = 0.5, 1.5  # a source voltage beyond is in another unit
+
+TOP_KEYS = ("f1_hz", "voltage_kv", "rated_power_mw", "source_voltage_pu", "name", "element")
 COMMON_KEYS = ("kind", "name", "from", "to", "at", "in_service")
 
 
@@ -179,6 +181,12 @@ def _check_top(document: Mapping[str, Any], f1_hz: float) -> None:
     power = document.get("rated_power_mw")
     if power is not None and not _is_positive(power):
         raise GridError(f"rated_power_mw = {power!r}: needed is the device's rating in MW, above 0")
+    source = document.get("source_voltage_pu")
+    if source is not None and not (_is_positive(source) and _LEAST_PU < source < _MOST_PU):
+        raise GridError(
+            f"source_voltage_pu = {source!r}: needed is the voltage behind the grid in per unit of the device's rated "
+            f"voltage, between {_LEAST_PU:g} and {_MOST_PU:g}"
+        )
     if voltage is not None and not _is_positive(voltage):
         raise GridError(f"voltage_kv = {voltage!r}: needed is the line-to-line voltage at the PCC in kV, above 0")
 

@@ -71,6 +71,14 @@ def open_file(text: str, f1_hz: float) -> Grid | RegionGrid:
     return table_grid(path, f1_hz)
 
 
+def source_voltage_of(text: str) -> float | None:
+    """Voltage (pu of the device's rating) behind the grid of a file of elements, where the file says it."""
+    if Path(text).suffix.lower() != ".toml" or not Path(text).exists():
+        return None
+    value = read_document(Path(text)).get("source_voltage_pu")
+    return float(value) if isinstance(value, int | float) else None
+
+
 def read_document(path: Path) -> dict[str, Any]:
     """A TOML file as plain values."""
     try:

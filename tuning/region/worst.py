@@ -162,10 +162,11 @@ def _cost(found: Scan, least: Least) -> np.ndarray:
         return found.damping
     if least == "margin":
         return found.margin_m
-    doubt = np.maximum(found.margin_m - found.margin_low, 1e-9)
-    with np.errstate(invalid="ignore"):
-        sure = (found.margin_m - 1.0) / doubt
-    return np.where(np.isfinite(found.margin_m), sure, np.inf)
+    known = np.isfinite(found.margin_m)  # elsewhere nothing crosses 180 degrees: m and its bound are both infinite
+    m, low = found.margin_m[known], found.margin_low[known]
+    sure = np.full(len(known), np.inf)
+    sure[known] = (m - 1.0) / np.maximum(m - low, 1e-9)
+    return sure
 
 
 def _lowest(cost: np.ndarray, covered: Sequence[_Covered]) -> np.ndarray:
