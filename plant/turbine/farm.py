@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..circuits.branches import GROUND, Branch
+from ..circuits.coupled import Place, Split, split
 from ..circuits.dynamics import Dynamics, Memory, Turning, as_pairs, dynamics_of, from_pairs
-from ..circuits.stepping import Outputs, Weights, rates_of, weights_of
+from ..circuits.stepping import Outputs
 from ..damping.control import NOTCH_XI
 from ..damping.grid_side import GridSideDamper
 from ..errors import SeqsweepError
+from ..kernels.lanes import LANES
 from ..lanes import aligned_zeros
 from ..protocol import FarmConditions, FarmTrace, Member, OperatingPoint, Record, Source, Trace
 from ..space_vectors import PHASE_PEAK
@@ -63,8 +65,7 @@ class Stepped(NamedTuple):
 
     dynamics: Dynamics
     outputs: Outputs
-    weights: Weights
-    rates: np.ndarray
+    split: Split
     connected: tuple[int, ...]
     factors: tuple[float, ...]
 
@@ -185,36 +186,38 @@ class TurbineFarm:
 
         stepped = self._stepped(conditions)
         forced = stepped.forced(state.v_source)
-        x = self._lanes(state, stepped, conditions)
-        wiring = self._wiring(state, stepped, forced, conditions)
-        room = self._room(state, stepped, forced)
-        n = len(stepped.connected)
-        samples = np.empty((n_steps, n, 7))
-        watched = np.empty((n_steps, len(stepped.outputs.of_x) * 2 - 2 * (2 * n + len(self.dampers))))
+        places, rest = stepped.split.spread(self._network_states(state, stepped, forced))
+        x = self._lanes(state, stepped, conditions, places)
+        _set_network(x, stepped, _held(stepped, forced))
+        room = self._room(state, stepped, rest)
+        samples = np.empty((n_steps, len(x), 7 * LANES))
+        watched = np.empty((n_steps, 2 * len(conditions.watch)))
         reactive = True if any(state.turbines[k].i_q_ref_a for k in stepped.connected) else None
-        kernel.advance_farm(
-            reactive, x, self.plant.parameters, self.dt_s, samples, watched, stepped.weights, wiring, room
-        )
+        wiring = self._wiring(state, stepped, forced, conditions)
+        coupled = stepped.split.coupled
+        kernel.advance_farm(reactive, x, self.plant.parameters, self.dt_s, samples, watched, coupled, wiring, room)
         end = self._end(state, stepped, forced, x, room, n_steps)
         return end, self._trace_of(state, stepped, samples, watched)
 
-    def _lanes(self, state: FarmState, stepped: Stepped, conditions: FarmConditions) -> np.ndarray:
-        """(groups, N_SLOTS LANES) of the connected turbines."""
+    def _lanes(self, state: FarmState, stepped: Stepped, conditions: FarmConditions, places: np.ndarray) -> np.ndarray:
+        """(groups, N_SLOTS LANES) of the connected turbines; ``places`` (n, 4) are their states of the network."""
         from ..kernels import turbine as slots_of
         from ..kernels import turbine_farm as kernel
 
         p, n = self.plant.parameters, len(stepped.connected)
-        groups = -(-n // kernel.LANES)
-        x = aligned_zeros(groups, kernel.N_SLOTS * kernel.LANES)
-        slots = x.reshape(groups, kernel.N_SLOTS, kernel.LANES)
-        for place in range(groups * kernel.LANES):
-            k = stepped.connected[place if place < n else 0]
-            turbine, lane = state.turbines[k], slots[place // kernel.LANES, :, place % kernel.LANES]
+        groups = -(-n // LANES)
+        x = aligned_zeros(groups, kernel.N_SLOTS * LANES)
+        slots = x.reshape(groups, kernel.N_SLOTS, LANES)
+        for place in range(groups * LANES):
+            same = place if place < n else 0
+            k = stepped.connected[same]
+            turbine, lane = state.turbines[k], slots[place // LANES, :, place % LANES]
             lane[: len(turbine.values)] = turbine.values
             self.plant.set_asked(lane, turbine)
             lane[slots_of.COMP_R : slots_of.COMP_R + 2] = conditions.compensation[k]
             lane[slots_of.NOTCH_W0], lane[slots_of.NOTCH_WIDTH] = p.w1_rad_s, 2.0 * NOTCH_XI * p.w1_rad_s
             lane[kernel.LAW] = p.k_opt * conditions.power_scale[k]
+            lane[kernel.NETWORK] = places[same]
         return x
 
     def _wiring(
@@ -222,12 +225,9 @@ class TurbineFarm:
     ) -> object:
         from ..kernels import turbine_farm as kernel
 
-        n, w1 = len(stepped.connected), self.plant.parameters.w1_rad_s
-        groups = -(-n // kernel.LANES)
-        places = np.arange(groups * kernel.LANES)
-        held = np.zeros((2, 2 * len(stepped.outputs.of_x)))
-        for row, turning in enumerate(forced):
-            held[row] = as_pairs(stepped.outputs.of_x @ turning.x)
+        n, d, w1 = len(stepped.connected), len(self.dampers), self.plant.parameters.w1_rad_s
+        held = _held(stepped, forced)
+        of_none = np.concatenate([held[:, 2 * n : 2 * (n + d)], held[:, 2 * (2 * n + d) :]], axis=1)
         moving = stepped.dynamics.frame == "stationary"
         turns = [
             cmath.exp(1j * w1 * state.time_s) if moving else 1.0,
@@ -235,28 +235,28 @@ class TurbineFarm:
             cmath.exp(-1j * w1 * self.dt_s),
         ]
         return kernel.Wiring(
-            np.where(places < n, places, 0),
-            np.array(stepped.factors),
-            held,
-            stepped.rates,
+            np.ascontiguousarray(of_none),
             as_pairs(np.array(turns)[:, None]),
             w1 if moving else 0.0,
             _damper_rows(self.dampers, conditions.dampers_on),
         )
 
-    def _room(self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...]) -> object:
-        from ..kernels import turbine_farm as kernel
-
+    def _network_states(self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...]) -> np.ndarray:
+        """(m,) of the network: what deviates from the forced."""
         held = sum((turning.at(state.time_s) for turning in forced), np.zeros(stepped.dynamics.system.at.n, complex))
         steady = stepped.dynamics.remembered(held, state.v_source)
-        states = stepped.dynamics.entered(state.memory.of(stepped.dynamics.names) - steady, state.time_s)
-        p, o = stepped.weights.direct.shape[1], stepped.weights.direct.shape[0]
-        dampers = np.zeros((3, len(self.dampers), 8))
+        return stepped.dynamics.entered(state.memory.of(stepped.dynamics.names) - steady, state.time_s)
+
+    def _room(self, state: FarmState, stepped: Stepped, rest: np.ndarray) -> object:
+        from ..kernels import turbine_farm as kernel
+
+        coupled, d = stepped.split.coupled, len(self.dampers)
+        dampers = np.zeros((3, d, 8))
         dampers[0] = state.dampers
-        states = np.ascontiguousarray(states)
-        return kernel.Room(
-            states, np.empty_like(states), np.zeros((5, p)), np.zeros(p), np.zeros(o), np.zeros(o), dampers
-        )
+        most = max(max(coupling.core.shape) for coupling in coupled[:6]) + 1
+        sizes = (most, most, 4 * d + len(rest), 2 * d, 4 * d, 2 * d, len(coupled.by_rates))
+        begun = np.concatenate([rest, np.zeros(2 * d)])
+        return kernel.Room._make([begun, *(np.zeros(size) for size in sizes), dampers])
 
     def _end(
         self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...], x: np.ndarray, room: object, n_steps: int
@@ -265,16 +265,17 @@ class TurbineFarm:
 
         step = state.step + n_steps
         time_s = step * self.dt_s
-        slots = x.reshape(len(x), kernel.N_SLOTS, kernel.LANES)
+        lanes = _by_lane(x.reshape(len(x), kernel.N_SLOTS, LANES), len(stepped.connected))
         turbines = list(state.turbines)
         for place, k in enumerate(stepped.connected):
-            values = slots[place // kernel.LANES, :21, place % kernel.LANES].copy()
+            values = lanes[place, :21].copy()
             values.setflags(write=False)
             turbines[k] = replace(state.turbines[k], step=step, time_s=time_s, values=values)
         fed = np.array(_currents(stepped, turbines))
-        dampers = room.damper[0].copy()  # type: ignore[attr-defined]
+        dampers, rest = room.damper[0].copy(), room.rest[: len(stepped.split.rest)]  # type: ignore[attr-defined]
         fed = np.concatenate([fed, -from_pairs(dampers.reshape(-1, 8)[:, 6:8].ravel())])
-        z = stepped.dynamics.left(room.states, fed, time_s)  # type: ignore[attr-defined]
+        states = stepped.split.gathered(lanes[:, kernel.NETWORK], rest)
+        z = stepped.dynamics.left(states, fed, time_s)
         z = sum((turning.at(time_s) for turning in forced), z)
         memory = Memory(stepped.dynamics.names, stepped.dynamics.remembered(z, state.v_source))
         return FarmState(step, time_s, tuple(turbines), memory, dampers, state.v_source)
@@ -283,8 +284,9 @@ class TurbineFarm:
         time_s = (state.step + np.arange(len(samples))) * self.dt_s
         to_stationary = PHASE_PEAK * np.exp(2j * np.pi * ((self.f1_hz * time_s) % 1.0))
         traces = [self._absent(state, len(samples))] * len(self.members)
+        by_lane = samples.reshape(len(samples), -1, 7, LANES)
         for place, k in enumerate(stepped.connected):
-            of = samples[:, place]
+            of = by_lane[:, place // LANES, :, place % LANES]
             v, i = (of[:, 0] + 1j * of[:, 1]) * to_stationary, -(of[:, 2] + 1j * of[:, 3]) * to_stationary
             record = Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.members[k].name)
             traces[k] = Trace(record, of[:, 4], of[:, 5], of[:, 6] - cmath.phase(state.v_source))
@@ -301,6 +303,35 @@ def _currents(stepped: Stepped, turbines: Sequence[TurbineState]) -> list[comple
     """What the connected members feed in (A)."""
     pairs = zip(stepped.connected, stepped.factors, strict=True)
     return [factor * complex(*turbines[k].values[:2]) for k, factor in pairs]
+
+
+def _held(stepped: Stepped, forced: Sequence[Turning]) -> np.ndarray:
+    """(2, outputs) in pairs, of one device: what the source forces that stands in the dq frame, and what turns."""
+    n, d = len(stepped.connected), len(stepped.dynamics.ports) - len(stepped.connected)
+    held = np.zeros((2, 2 * len(stepped.outputs.of_x)))
+    for row, turning in enumerate(forced):
+        held[row] = as_pairs(stepped.outputs.of_x @ turning.x)
+    held[:, 2 * (n + d) : 2 * (2 * n + d)] /= np.repeat(stepped.factors, 2)
+    return held
+
+
+def _set_network(x: np.ndarray, stepped: Stepped, held: np.ndarray) -> None:
+    """What the lanes' terminals do to themselves, and what the source forces there, into their slots."""
+    from ..kernels import turbine_farm as kernel
+
+    n, d = len(stepped.connected), len(stepped.dynamics.ports) - len(stepped.connected)
+    of_v, of_i = held[:, : 2 * n].reshape(2, n, 2), held[:, 2 * (n + d) : 2 * (2 * n + d)].reshape(2, n, 2)
+    forced = np.stack([of_v, of_i], axis=2).transpose(1, 0, 2, 3).reshape(n, 8)
+    slots = x.reshape(len(x), kernel.N_SLOTS, LANES)
+    for place in range(len(x) * LANES):
+        same, lane = place if place < n else 0, slots[place // LANES, :, place % LANES]
+        lane[kernel.FORCED : kernel.FORCED + 8] = forced[same]
+        lane[kernel.OWN_START : kernel.N_SLOTS] = stepped.split.local[same]
+
+
+def _by_lane(slots: np.ndarray, n: int) -> np.ndarray:
+    """(n, n_slots) of the first lanes of (groups, n_slots, LANES)."""
+    return slots.transpose(0, 2, 1).reshape(-1, slots.shape[1])[:n]
 
 
 def _shunt(member: Member, factor: float, r_ohm: float, c_f: float) -> Branch:
@@ -329,9 +360,10 @@ def _stepped(
     for k, (what, name) in enumerate(watch):
         of_x[len(ports) + n + k, at.node[name] if what == "v" else at.current[names.index(name)]] = 1.0
     outputs = Outputs(of_x, of_u)
-    return Stepped(
-        dynamics, outputs, weights_of(dynamics, outputs, step_s), rates_of(dynamics, outputs), connected, factors
-    )
+    shunts = names[len(names) - n :]
+    places = [Place(*each) for each in zip(ports[:n], shunts, factors, strict=True)]
+    parts = split(dynamics, outputs, step_s, places, len(ports) - n, LANES)
+    return Stepped(dynamics, outputs, parts, connected, factors)
 
 
 def _damper_rows(dampers: Sequence[tuple[str, GridSideDamper]], on: Sequence[bool]) -> np.ndarray:
