@@ -7,7 +7,7 @@ devices' control, or when they are told to.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import pi
@@ -148,8 +148,15 @@ class _Port:
     peak_v: float
 
 
+CauseGone = Callable[[FarmConditions], bool]
+
+
 def simulate_farm(
-    farm: Together, scenario: FarmScenario, control_of: FarmControl | None, duration_s: float
+    farm: Together,
+    scenario: FarmScenario,
+    control_of: FarmControl | None,
+    duration_s: float,
+    cause_gone: CauseGone | None = None,
 ) -> FarmTrajectory:
     """Drive a farm through a scenario.
 
@@ -163,6 +170,9 @@ def simulate_farm(
         Damping control; None leaves all ports alone, resonances are watched all the same.
     duration_s : float
         Simulated time (s).
+    cause_gone : callable, optional
+        Says for given conditions whether the farm is stable in them without damping; asked when the conditions change,
+        and never during a fault. All damping control stops where it says yes, and none starts.
 
     Raises
     ------
@@ -177,6 +187,7 @@ def simulate_farm(
     memories = _memories_at_rest(farm, state, scenario, ports)
     pieces: list[list[Trace]] = [[] for _ in ports]
     kept: list[list[DampingState]] = [[] for _ in ports]
+    verdict = _remembered(cause_gone)
     for block in range(n_blocks):
         time_s = block * SAMPLE_S
         if control_of is not None and control_of.on_from_s is not None and time_s >= control_of.on_from_s - 1e-9:
@@ -196,8 +207,9 @@ def simulate_farm(
             of += new_pieces
         if not all(np.isfinite(of[-1].record.v[-1]) for of in traced):
             break
+        gone = verdict(conditions_at(farm, scenario, time_s + SAMPLE_S))
         memories = [
-            control.decide(port.settings, memory, _measured(port, of, time_s + SAMPLE_S))
+            control.decide(port.settings, memory, _measured(port, of, time_s + SAMPLE_S, gone))
             for port, memory, of in zip(ports, memories, traced, strict=True)
         ]
         for of_port, memory in zip(kept, memories, strict=True):
@@ -302,9 +314,23 @@ def _memories_at_rest(farm: Together, state: Any, scenario: FarmScenario, ports:
     ]
 
 
-def _measured(port: _Port, traces: Sequence[Trace], time_s: float) -> Measurement:
+def _measured(port: _Port, traces: Sequence[Trace], time_s: float, cause_gone: bool) -> Measurement:
     v, i = (np.mean(np.concatenate([getattr(t.record, name) for t in traces])) for name in ("v", "i"))
-    return Measurement(time_s, complex(v) / port.peak_v, complex(i))
+    return Measurement(time_s, complex(v) / port.peak_v, complex(i), cause_gone)
+
+
+def _remembered(cause_gone: CauseGone | None) -> CauseGone:
+    """The injected check, asked once for each set of conditions."""
+    answers: dict[FarmConditions, bool] = {}
+
+    def answer(conditions: FarmConditions) -> bool:
+        if cause_gone is None or conditions.fault is not None:
+            return False
+        if conditions not in answers:
+            answers[conditions] = bool(cause_gone(conditions))
+        return answers[conditions]
+
+    return answer
 
 
 def _stretches(

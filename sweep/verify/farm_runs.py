@@ -14,6 +14,7 @@ from ...plant.circuits.circuit import SOURCE, Circuit, scaled_branch
 from ...plant.damping.control import THRESHOLD, DampingSettings
 from ...plant.damping.farm_events import (
     BusFault,
+    CauseGone,
     DevicePower,
     FarmControl,
     FarmEvent,
@@ -23,12 +24,13 @@ from ...plant.damping.farm_events import (
     simulate_farm,
 )
 from ...plant.errors import in_words
-from ...plant.protocol import FarmPlant, Member, NotSettled, Together
+from ...plant.protocol import FarmConditions, FarmPlant, Member, NotSettled, Together
 from ...plant.registry import make_plant
 from ...tuning.farm.document import farm_of
 from ...tuning.farm.entries import DeviceEntry, FarmEntry, NoLoadFlow
 from ...tuning.farm.farm import Farm, judged, judged_with
 from ...tuning.farm.loadflow import load_flow
+from ...tuning.farm.states import State, farm_in, judge_state
 from ...tuning.farm.units import Library, units_of
 from ...tuning.gain import series_of
 from ...tuning.network.assembly import Network, port_impedance
@@ -104,12 +106,14 @@ def verify_farm(document: Mapping[str, Any], library: Library, story: FarmStory)
     control = setting.control(individual)
     runs = [_run("without damping", individual, scenario, None, story)]
     if control is not None:
-        runs.append(_run("with damping", individual, scenario, control, story))
+        gone = setting.cause_gone(scenario, False)
+        runs.append(_run("with damping", individual, scenario, control, story, gone))
     if story.aggregate and len(individual.members) > 1:
         one, alone = setting.together(True)
         runs.append(_run("aggregate without damping", one, alone, None, story))
         if control is not None:
-            runs.append(_run("aggregate with damping", one, alone, setting.control(one), story))
+            gone = setting.cause_gone(alone, True)
+            runs.append(_run("aggregate with damping", one, alone, setting.control(one), story, gone))
     names = tuple(member.name for member in individual.members)
     settings = control.devices if control is not None else (None,) * len(names)
     words = tuple(stage.what for stage in setting.stages[1:]) + tuple(_word(e) for e in story.events if _word(e))
@@ -236,6 +240,44 @@ class _Setting:
             for k in gains
         )
         return FarmControl(settings, len(self.farm.dampers), self.story.on_from_s)
+
+    def cause_gone(self, scenario: FarmScenario, aggregated: bool) -> CauseGone | None:
+        """Where all damping may stop, by the farm's topology and the tables of its devices; None: nowhere.
+
+        The aggregate, whose one power is that of no device, keeps its damping where powers change.
+        """
+        margin = self.story.stop_margin
+        if margin is None or (aggregated and any(isinstance(e, FarmPower) for e in self.story.events)):
+            return None
+        steps = [event for event in scenario.events if isinstance(event, NetworkStep)]
+        begun = (scenario.circuit, scenario.connected, ())
+        switched = [begun, *((step.circuit, step.connected, step.sizes) for step in steps)]
+        stage_of = dict(zip(switched, self.stages, strict=True))
+
+        def gone(conditions: FarmConditions) -> bool:
+            stage = stage_of[conditions.circuit, conditions.connected, conditions.sizes]
+            power = {} if aggregated else self._changed_power(conditions)
+            return self._gone_in(stage, power, margin)
+
+        return gone
+
+    def _changed_power(self, conditions: FarmConditions) -> dict[str, float]:
+        """Factors on the powers of devices that have another one than at the beginning."""
+        pairs = zip(self.devices, conditions.power_scale, strict=True)
+        return {device.name: scale for device, scale in pairs if scale != 1.0}
+
+    def _gone_in(self, stage: Stage, power: Mapping[str, float], margin: float) -> bool:
+        """The deactivation criterion in a stage; a power that the tables do not know leaves damping on."""
+        content = {key: value for key, value in self.document.items() if key not in ("damper", "state")}
+        entries = [dict(entry) for entry in content["device"]]
+        for entry in entries:
+            if (scale := power.get(entry.get("name"), 1.0)) != 1.0:
+                if "active_power_mw" not in entry:
+                    return False
+                entry["active_power_mw"] *= scale
+        state = State(stage.what, tuple(sorted(stage.out)), source_scale=stage.scale)
+        entry = farm_in({**content, "device": entries}, state)
+        return judge_state(entry, state, self.library, margin).cause_gone
 
     def _resonance_hz(self) -> float | None:
         """Of the file; else that of the critical mode above f1, if there is one."""
@@ -390,9 +432,16 @@ def _in_step(entry: FarmEntry) -> FarmEntry:
 # ---------------------------------------------------------------------- a run
 
 
-def _run(title: str, farm: Together, scenario: FarmScenario, control: FarmControl | None, story: FarmStory) -> FarmRun:
+def _run(
+    title: str,
+    farm: Together,
+    scenario: FarmScenario,
+    control: FarmControl | None,
+    story: FarmStory,
+    cause_gone: CauseGone | None = None,
+) -> FarmRun:
     try:
-        found = simulate_farm(farm, scenario, control, story.duration_s)
+        found = simulate_farm(farm, scenario, control, story.duration_s, cause_gone)
     except NotSettled as refusal:
         raise VerifyError(f"the farm has no state to begin from: {in_words(refusal)}") from None
     line = report(found.line, scenario.events, THRESHOLD)

@@ -68,6 +68,9 @@ class FarmStory:
         Damping gain of every device, or by name.
     on_from_s : float or None
         When damping control and grid-side dampers are switched on by hand; None: by their own logic.
+    stop_margin : float or None
+        All damping stops where the farm without it is stable and the Bode margin at its source's bus is at least this;
+        None: what has started stays.
     aggregate : bool
         Whether one turbine for all is simulated beside.
     events : tuple of Told
@@ -79,6 +82,7 @@ class FarmStory:
     out: tuple[str, ...] = ()
     k: float | Mapping[str, float] = 0.0
     on_from_s: float | None = None
+    stop_margin: float | None = None
     aggregate: bool = True
     events: tuple[Told, ...] = ()
 
@@ -90,7 +94,7 @@ class FarmStory:
 DEFAULT = FarmStory(source_scale=1.2 / 1.4, events=(SourceStep(0.1, 1.0),))
 """The source's impedance steps from 1.2/1.4 of the file's to all of it, as the paper's."""
 
-_KEYS = ("duration_s", "source_scale", "out", "k", "on_from_s", "aggregate", "event")
+_KEYS = ("duration_s", "source_scale", "out", "k", "on_from_s", "stop_margin", "aggregate", "event")
 _KINDS: dict[str, tuple[str, ...]] = {
     "source_step": ("scale",),
     "switch": ("name", "in_service"),
@@ -120,10 +124,12 @@ def read_farm_story(path: Path) -> FarmStory:
 def farm_story_of(data: Mapping[str, Any]) -> FarmStory:
     """The story that the content of a scenario file tells."""
     refuse_unknown(data, _KEYS, "the scenario")
-    numbers = ("duration_s", "source_scale", "on_from_s")
+    numbers = ("duration_s", "source_scale", "stop_margin", "on_from_s")
     values: dict[str, Any] = {key: _positive(data, key) for key in numbers if key in data and key != "on_from_s"}
     if "on_from_s" in data:
         values["on_from_s"] = number_of(data, "on_from_s", "the scenario")
+    if "on_from_s" in data and "stop_margin" in data:
+        raise ScenarioError("on_from_s holds damping on by hand, stop_margin lets it stop by itself; give one of them")
     entries = data.get("event", [])
     if not (isinstance(entries, list) and all(isinstance(entry, Mapping) for entry in entries)):
         raise ScenarioError("event must be tables in double brackets, [[event]]")
