@@ -162,12 +162,18 @@ def _entries(result: TuningResult, first: PointTuning) -> list[_Drawn]:
 
 def _title(result: TuningResult, point: PointTuning) -> str:
     """Which entry this is, out of how many, and what was found."""
-    several = f" (the worst of {len(result.points)})" if len(result.points) > 1 and point is result.worst_fitted else ""
-    of = several or (f" (one of {len(result.points)})" if len(result.points) > 1 else "")
+    of = f" ({_which(result, point)} of {len(result.points)})" if len(result.points) > 1 else ""
     grid = "" if point.grid is None else f" on {point.grid.label}"
     certain = point.probability is None or not 1.0 - CERTAIN < point.probability < CERTAIN
     probability = "" if certain else f" (probability of being stable {point.probability:.3g})"
     return escaped(f"{_name(point)}{of}: {point.verdict}{probability}{grid}")
+
+
+def _which(result: TuningResult, point: PointTuning) -> str:
+    """The worst is the table's; where that one has no fit, the picture is of another one and says so."""
+    if point is result.worst:
+        return "the worst"
+    return "the worst with a fit" if point is result.worst_fitted else "one"
 
 
 def _name(point: PointTuning) -> str:

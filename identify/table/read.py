@@ -149,13 +149,18 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, dict[str, Any]]]:
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: not a Parquet file, or a truncated one ({_line(error)}); {_HOW}") from error
+        raise TableError(f"{path}: not a Parquet file, or a truncated one; {_HOW}") from error
     with file:
         meta = _metadata(path, file)
         try:
             yield file, meta
         except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-            raise TableError(f"{path}: damaged, its data cannot be read ({_line(error)})") from error
+            raise TableError(f"{path}: damaged, its data cannot be read{_checksum(error)}") from error
+
+
+def _checksum(error: Exception) -> str:
+    """What of pyarrow's words helps: that a page is not what was written."""
+    return " (CRC of a page is wrong): copy it again" if "CRC" in str(error) else ": copy it again"
 
 
 def _line(error: Exception) -> str:

@@ -16,6 +16,7 @@ import threading
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -23,6 +24,7 @@ import typer
 from ...plant.errors import SeqsweepError
 from . import faults
 from .commands import COMMANDS, epilog_of, meant_by
+from .kinds import refuse_others
 from .say import say, tell
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
 from .telling import speaking
@@ -66,7 +68,8 @@ def _program(names: Iterable[str]) -> typer.Typer:
     program = typer.Typer(**_PROGRAM)
     program.callback(invoke_without_command=True)(_version)
     for name in names:
-        program.command(name, epilog=epilog_of(COMMANDS[name]))(speaking(COMMANDS[name].run))
+        command = speaking(COMMANDS[name].run, partial(refuse_others, name))
+        program.command(name, epilog=epilog_of(COMMANDS[name]))(command)
     return program
 
 
@@ -124,7 +127,7 @@ def _status() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except IsADirectoryError as error:
-        typer.echo(f"{error.filename} is a folder; name a file", err=True)
+        tell(f"{error.filename} is a folder; name a file")
         return WRONG_INPUT
     except OSError as error:
         kept = error.errno in _FULL and _began(arguments)
@@ -134,7 +137,8 @@ def _status() -> int:
         tell("the memory of this machine does not suffice")
         return MACHINE
     except Exception as error:
-        typer.echo(faults.told(error, arguments, debug), err=True)
+        details = faults.told(error, arguments, debug)
+        typer.echo(details, err=True) if debug else tell(details)
         return FAULT
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
         return _interrupted()

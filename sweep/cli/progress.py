@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from ...tuning.layout import folded
+from .say import columns
 from .telling import in_words, is_quiet
 
 QUIET_S = 1.0
@@ -54,7 +56,7 @@ def progress() -> Iterator[Progress]:
 
 
 def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    print(folded(text, columns()), file=sys.stderr, flush=True)
 
 
 @contextmanager

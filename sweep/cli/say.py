@@ -1,18 +1,15 @@
-"""What commands say, in lines no wider than the terminal; in a pipe a message stays one line."""
+"""What commands say, in lines no wider than the terminal, or than 80 columns where there is none."""
 
 from __future__ import annotations
 
-import os
 import shutil
-import sys
-from typing import TextIO
 
 import typer
 
 from ...tuning.layout import folded
 
 UNKNOWN = 80
-"""Columns that a table may take where nobody says how wide the output is."""
+"""Columns that a line may take where nobody says how wide the output is."""
 
 
 def columns() -> int:
@@ -22,15 +19,9 @@ def columns() -> int:
 
 def say(text: str) -> None:
     """Tell standard output a result."""
-    typer.echo(_for_eyes(text, sys.stdout))
+    typer.echo(folded(text, columns()))
 
 
 def tell(text: str) -> None:
     """Tell standard error a message."""
-    typer.echo(_for_eyes(text, sys.stderr), err=True)
-
-
-def _for_eyes(text: str, stream: TextIO) -> str:
-    """The text folded where somebody looks at it; as it is for a program that reads it."""
-    is_seen = stream.isatty() or os.environ.get("COLUMNS")
-    return folded(text, columns()) if is_seen else text
+    typer.echo(folded(text, columns()), err=True)

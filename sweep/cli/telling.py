@@ -90,8 +90,8 @@ def plain(value: Any) -> Any:
     return value
 
 
-def speaking(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with ``--json`` and ``--quiet``, and a closing line with the time that it took."""
+def speaking(command: Callable[..., None], check: Callable[[Mapping[str, Any]], None]) -> Callable[..., None]:
+    """The command with ``--json`` and ``--quiet``, its values checked, and at the end a line with the time it took."""
     signature = inspect.signature(command, eval_str=True)
     own = list(signature.parameters.values())
     added = [
@@ -103,6 +103,7 @@ def speaking(command: Callable[..., None]) -> Callable[..., None]:
     def told(*given: Any, as_json: bool, quiet: bool, **named: Any) -> None:
         token, begin = _MANNER.set(Manner(as_json, quiet)), time.monotonic()
         try:
+            check(named)
             command(*given, **named)
         except typer.Exit:
             _close(begin)

@@ -25,6 +25,10 @@ DEFAULT_INTERPOLATION_TOLERANCE = 1e-3
 Text = Annotated[str, Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0)]
+PerUnitVoltage = Annotated[Positive, Field(le=5)]
+"""A voltage over the rated one: 690 or 400 is one in V."""
+
+_VOLTAGE = "a number above 0 and at most 5, in pu of the rated voltage"
 NotNegative = Annotated[Number, Field(ge=0)]
 
 
@@ -56,7 +60,7 @@ class GridSection(_Section):
     elements: dict[str, Any] | None = Field(
         default=None, description='the name of a file of elements, such as "grid.toml", in place of r_ohm and x_ohm'
     )
-    voltage_pu: Positive = Field(default=1.0, description="a number above 0, in pu")
+    voltage_pu: PerUnitVoltage = Field(default=1.0, description=_VOLTAGE)
     scale: Positive = Field(default=1.0, description="a number above 0, multiplies r_ohm and x_ohm")
 
 
@@ -70,7 +74,7 @@ class OperatingPointSection(_Section):
     reactive_power_mvar: Number | None = Field(
         default=None, description="a number, in Mvar out of the device; 0 unless given"
     )
-    terminal_voltage_pu: Positive | None = Field(default=None, description="a number above 0, in pu")
+    terminal_voltage_pu: PerUnitVoltage | None = Field(default=None, description=_VOLTAGE)
     grid: GridSection | None = Field(
         default=None,
         description='a table { r_ohm = 0.012, x_ohm = 0.25, voltage_pu = 1.0, scale = 1.0 }, or a file "grid.toml"',

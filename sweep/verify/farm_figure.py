@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...identify.views.style import new_figure, write_figure
+from ...identify.views.style import escaped, new_figure, write_figure
 from .farm_runs import FarmRun, FarmVerification
-from .figure import quiet, resonance_current, without_spikes
+from .figure import quiet, resonance_current, told_below, without_spikes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +47,8 @@ def farm_figure(result: FarmVerification) -> Figure:
         without_spikes(each)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
-    figure.suptitle(f"{result.farm.entry.name}: {len(result.names)} devices, thin lines each of them", fontsize=10)
+    head = escaped(f"{result.farm.entry.name}: {len(result.names)} devices, thin lines each of them")
+    figure.suptitle("\n".join([head, *told_below("; ".join(result.words))]), fontsize=10)
     return figure
 
 

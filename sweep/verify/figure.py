@@ -5,14 +5,16 @@ matplotlib is imported when a figure is made.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...identify.views.style import new_figure, opened_figure, write_figure
+from ...identify.views.style import escaped, new_figure, opened_figure, write_figure
 from ...plant.damping.events import Event, Fault, Trajectory
+from .report import events_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +27,9 @@ _WITH: dict[str, Any] = {"color": "#08306b", "lw": 1.1, "zorder": 3}
 
 
 HEIGHT_IN = 7.2
+
+TITLE_COLUMNS = 95
+"""Letters that a line above a picture holds."""
 
 
 class Curve(NamedTuple):
@@ -84,17 +89,24 @@ def draw(axes: np.ndarray, result: Verification) -> None:
     figure = axes[0].figure
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     z = result.tuned.grid.at_f1
-    figure.suptitle(
+    head = (
         f"{result.tuned.plant.id} at {result.scenario.active_power_w / 1e6:.3g} MW, "
-        rf"tuned grid {z.real:.3g} + j{z.imag:.3g} $\Omega$",
-        fontsize=10,
+        rf"tuned grid {z.real:.3g} + j{z.imag:.3g} $\Omega$"
     )
+    figure.suptitle("\n".join([head, *told_below(events_in_words(result.scenario.events))]), fontsize=10)
+
+
+def told_below(events: str) -> list[str]:
+    """What happens, in lines that fit below the head of a picture."""
+    return [escaped(line) for line in textwrap.wrap(events, TITLE_COLUMNS)]
 
 
 def _curves(result: Verification) -> Iterable[Curve]:
     yield Curve("without damping control", result.without, _WITHOUT)
     if result.damped is not None and result.settings is not None:
-        yield Curve(f"with damping control, k = {result.settings.k:.3g}", result.damped, _WITH)
+        k = f"k = {result.settings.k:.3g}"
+        name = f"with damping control, {k}" if result.damped.started_s else f"damping control, {k}, never started"
+        yield Curve(name, result.damped, _WITH)
 
 
 def draw_power(axes: Axes, curves: tuple[Curve, ...]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -98,11 +98,10 @@ _WINDOW_HEAD = ("Hz", "r", "1/s", "MW")
 
 def _headline(result: Verification) -> str:
     scenario, tuned = result.scenario, result.tuned
-    events = "; ".join(_in_words(event) for event in sorted(scenario.events, key=lambda event: event.time_s))
     return (
         f"{tuned.op_id}: {tuned.plant.id} at {scenario.active_power_w / 1e6:.4g} MW, source "
         f"{scenario.source_voltage_v / tuned.plant.rating.voltage_v:.4g} pu behind {scenario.scale:.4g} x "
-        f"({tuned.grid.at_f1.real:.4g} + j{tuned.grid.at_f1.imag:.4g}) ohm; {events or 'no event'}"
+        f"({tuned.grid.at_f1.real:.4g} + j{tuned.grid.at_f1.imag:.4g}) ohm; {events_in_words(scenario.events)}"
     )
 
 
@@ -113,7 +112,13 @@ def _damping_line(result: Verification) -> str:
     return f"damping control: k = {settings.k:.4g} for the tuned grid, set to {settings.resonance_hz:.4g} Hz"
 
 
-def _in_words(event: Event) -> str:
+def events_in_words(events: Iterable[Event]) -> str:
+    """What happens and when, in the order in which it happens."""
+    return "; ".join(event_in_words(event) for event in sorted(events, key=lambda event: event.time_s)) or "no event"
+
+
+def event_in_words(event: Event) -> str:
+    """What happens and when."""
     if isinstance(event, Fault):
         return f"fault {event.kind} through {event.r_ohm:g} ohm at {event.time_s:g} s for {1e3 * event.duration_s:g} ms"
     if isinstance(event, CircuitStep):

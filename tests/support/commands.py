@@ -13,6 +13,8 @@ from pathlib import Path
 from tempfile import TemporaryFile, gettempdir
 from unittest.mock import patch
 
+from seqsweep.sweep.cli.say import UNKNOWN
+
 SEQSWEEP = str(Path(sys.executable).with_name("seqsweep"))
 HERE = Path(__file__).parent
 TOP = HERE.parents[1]
@@ -62,9 +64,25 @@ def slow_campaign(folder, *, plant="python:plants:SlowBranch", rest_s=0.02, extr
 def call(*arguments, timeout=60, wrapper=(), **options):
     """Run the command to its end."""
     command = [*wrapper, SEQSWEEP, *map(str, arguments)]
-    return subprocess.run(
+    done = subprocess.run(
         command, cwd=HERE, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL, **options
     )
+    done.stdout, done.stderr = unfolded(done.stdout), unfolded(done.stderr)
+    return done
+
+
+def unfolded(text):
+    """Lines that went on below because they were too wide, as one line again: tests ask for words, not for places."""
+    lines, width = [], 0
+    for line in text.splitlines():
+        hang = " " * (len(lines[-1]) - len(lines[-1].lstrip()) + 2) if lines else ""
+        rest = line[len(hang) :]
+        if lines and line.startswith(hang) and rest[:1].strip() and width + 1 + len(rest.split()[0]) > UNKNOWN:
+            lines[-1] += f" {rest}"
+        else:
+            lines.append(line)
+        width = len(line)
+    return "\n".join(lines) + ("\n" if text.endswith("\n") else "")
 
 
 def command(*arguments):
@@ -77,7 +95,8 @@ def command(*arguments):
     with TemporaryFile("w+", encoding="utf-8") as out, TemporaryFile("w+", encoding="utf-8") as err:
         with _as_a_process([SEQSWEEP, *map(str, arguments)], out, err):
             status = main._status()
-        return subprocess.CompletedProcess(arguments, status, *map(_read_again, (out, err)))
+        said = [unfolded(_read_again(stream)) for stream in (out, err)]
+    return subprocess.CompletedProcess(arguments, status, *said)
 
 
 @contextmanager
@@ -149,7 +168,7 @@ def ended(*arguments, timeout=180, **options):
     """Run the command to its end, see that no process of its session is left, and give (exit status, stderr)."""
     process = start(*arguments, **options)
     try:
-        _, said = process.communicate(timeout=timeout)
+        said = unfolded(process.communicate(timeout=timeout)[1])
         assert group_members(process.pid) == []
     finally:
         end_group(process)

@@ -174,7 +174,7 @@ REFUSALS: list[tuple[str, str, str, str]] = [
         "voltage",
         "voltage_pu = 1.0",
         "voltage_pu = -1",
-        r"^10: .*terminal_voltage_pu: given -1; needed: a number above 0, in pu",
+        r"^10: .*terminal_voltage_pu: given -1; needed: a number above 0 and at most 5, in pu",
     ),
     (
         "no voltage",

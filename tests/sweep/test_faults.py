@@ -12,7 +12,7 @@ import pytest
 
 from seqsweep.plant.errors import SeqsweepError, closest, in_words, nearest
 
-from ..support.commands import campaign
+from ..support.commands import campaign, unfolded
 
 FAULT = 5
 
@@ -31,7 +31,9 @@ def with_bug(expression, *arguments, cwd):
         f"def bug(*given): {expression}\n"
         f"plan.make_plan = bug; sys.argv = ['seqsweep', *{list(map(str, arguments))!r}]; command.main()"
     )
-    return subprocess.run([sys.executable, "-c", program], cwd=cwd, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], cwd=cwd, capture_output=True, text=True, timeout=60)
+    done.stderr = unfolded(done.stderr)
+    return done
 
 
 @pytest.mark.parametrize("name", BUGS)

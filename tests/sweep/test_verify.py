@@ -168,6 +168,14 @@ def test_report_is_plain_json_and_text(result, tmp_path):
     assert (tmp_path / "verify.png").stat().st_size > 20_000
 
 
+def test_the_picture_says_what_happens_and_whether_damping_control_started(result):
+    never = replace(result, damped=result.without)
+    for shown, label in ((result, "with damping control, k = 0.5"), (never, "damping control, k = 0.5, never started")):
+        figure = verification_figure(shown)
+        assert figure._suptitle.get_text().splitlines()[1:] == ["grid x 1 at 0.1 s"]
+        assert label in figure.axes[0].get_legend_handles_labels()[1]
+
+
 def test_synchronism_lost_twice_is_once_in_the_legend(result):
     both = replace(result, damped=result.without)
     axes = verification_figure(both).axes[0]

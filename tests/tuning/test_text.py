@@ -156,7 +156,7 @@ def test_a_picture_shows_the_worst_entry_that_has_a_fit() -> None:
     result = tune([nothing, on_grid(0.3e6)], LINE)
     assert result.worst.op_id == "empty"
     assert result.worst_fitted is result.points[1]
-    assert result_figure(result)._suptitle.get_text().startswith("p300 (the worst of 2)")
+    assert result_figure(result)._suptitle.get_text().startswith("p300 (the worst with a fit of 2)")
     assert tune([nothing], LINE).worst_fitted is None
 
 
