@@ -145,7 +145,7 @@ def test_a_sweep_is_the_exact_linearisation_of_the_sampled_model(step, delay, in
 
 @pytest.mark.evidence
 def test_sweeps_of_the_whole_band_are_the_exact_linearisation_of_the_sampled_model():
-    """The table of docs/cigre.md; 20 us is the turbine within 1e-3 besides."""
+    """The table of docs/controller-evidence.md; 20 us is the turbine within 1e-3 besides."""
     for step, delay, in_place in [
         ("20e-6", 0, False),
         ("20e-6", 0, True),
