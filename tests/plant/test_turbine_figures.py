@@ -1,4 +1,4 @@
-"""The figures of docs/turbine.md, by ``pytest -m evidence -s tests/plant/test_turbine_figures.py``."""
+"""The figures of docs/turbine.md and docs/turbine-equations.md, by ``pytest -m evidence -s tests/plant/test_turbine_figures.py``."""
 
 from __future__ import annotations
 
