@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from .shared import EXIT_STATUSES, WrongInput
-from .telling import result
+from .telling import script
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -47,7 +47,7 @@ def completion(
     if shell not in SHELLS:
         raise WrongInput(f"completion {shell}: known are {', '.join(SHELLS)}")
     text = completion_script(shell)
-    result(text.rstrip("\n"), lambda: {"shell": shell, "script": text})
+    script(text.rstrip("\n"), lambda: {"shell": shell, "script": text})
 
 
 def man() -> None:
@@ -55,7 +55,7 @@ def man() -> None:
     from importlib.metadata import version
 
     text = manual_page(version("seqsweep"))
-    result(text.rstrip("\n"), lambda: {"page": text})
+    script(text.rstrip("\n"), lambda: {"page": text})
 
 
 def completion_script(shell: str) -> str:
@@ -157,8 +157,12 @@ def _bash_command(spec: Spec) -> Iterator[str]:
 
 
 def _bash_files(spec: Spec) -> str:
-    suffix = spec.suffix if len(spec.arguments) == 1 and "RESULT" not in spec.arguments[0] else ""
-    return f'_seqsweep_files "{suffix}" "$current"'
+    return f'_seqsweep_files "{_suffix_of_all(spec)}" "$current"'
+
+
+def _suffix_of_all(spec: Spec) -> str:
+    """The suffix that every argument of a command has; empty where they differ."""
+    return spec.suffix if len(spec.arguments) == 1 and "RESULT" not in spec.arguments[0] else ""
 
 
 # zsh -----------------------------------------------------------------------------------------------------------------
@@ -198,7 +202,7 @@ def _zsh_command(spec: Spec) -> Iterator[str]:
         for name in option.names:
             yield f"    '*{name}[{_quoted(option.help)}]{value if option.takes_value else ''}' \\"
     if spec.arguments:
-        yield f"    '*:{_quoted(spec.arguments[0])}:{_zsh_values(words, '')}' ;;"
+        yield f"    '*:{_quoted(spec.arguments[0])}:{_zsh_values(words, _suffix_of_all(spec))}' ;;"
     else:
         yield "    ;;"
 

@@ -19,7 +19,7 @@ import typer
 
 from .say import columns, say, tell
 
-__all__ = ["columns", "is_json", "is_quiet", "plain", "remark", "result", "speaking"]
+__all__ = ["columns", "is_json", "is_quiet", "plain", "remark", "result", "script", "speaking"]
 
 LONG_S = 1.0
 """A command that took longer says how long."""
@@ -55,6 +55,14 @@ def result(text: str | Callable[[], str], values: Callable[[], Any]) -> None:
         typer.echo(json.dumps(plain(values()), indent=1, allow_nan=False))
     else:
         say(text if isinstance(text, str) else text())
+
+
+def script(text: str, values: Callable[[], Any]) -> None:
+    """Print a result that is for a program, not for people: no line of it is folded."""
+    if _MANNER.get().as_json:
+        result(text, values)
+    else:
+        typer.echo(text)
 
 
 def remark(text: str) -> None:

@@ -1,4 +1,7 @@
-"""The figures of docs/turbine.md and docs/turbine-equations.md, by ``pytest -m evidence -s tests/plant/test_turbine_figures.py``."""
+"""The figures of docs/turbine.md and docs/turbine-equations.md.
+
+``pytest -m evidence -s tests/plant/test_turbine_figures.py`` prints them.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from seqsweep.sweep.cli.commands import COMMANDS
 from seqsweep.sweep.cli.main import app
 from seqsweep.sweep.cli.telling import plain
 
-from ..support.commands import TOP, campaign, command
+from ..support.commands import SEQSWEEP, TOP, campaign, command
 
 
 def test_the_module_is_the_command():
@@ -258,11 +258,55 @@ def test_a_shell_completes_commands_options_values_and_files(shell, tmp_path):
         assert "t.json" not in completed(shell, "seqsweep show ", tmp_path)
 
 
-def test_the_script_of_zsh_is_one(tmp_path):
+SETUP_OF_ZSH = r"""
+fpath=($PWD $fpath)
+autoload -Uz compinit && compinit -u -d $PWD/.zcompdump
+compadd() {
+    if [[ ${@[1,(i)(-|--)]} == *-(O|A|D)\ * ]]; then builtin compadd "$@"; return $?; fi
+    typeset -a offered
+    builtin compadd -A offered "$@"
+    print -rl -- $offered >> $PWD/offered
+    builtin compadd "$@"
+}
+"""
+"""Loads the completion as a user's .zshrc does, and writes down what is offered."""
+
+
+def test_zsh_completes_commands_options_values_and_files(tmp_path):
+    """In a real zsh, which completes on a terminal only."""
     if shutil.which("zsh") is None:
-        pytest.skip("no zsh here: its completion script is not read")
+        pytest.skip("no zsh here: its completion is not tried")
+    pexpect = pytest.importorskip("pexpect", reason="no pexpect here: zsh's completion is not tried")
     (tmp_path / "_seqsweep").write_text(command("completion", "zsh").stdout, "utf-8")
-    subprocess.run(["zsh", "-n", tmp_path / "_seqsweep"], check=True, timeout=60)
+    (tmp_path / "setup.zsh").write_text(SETUP_OF_ZSH)
+    for name in ("y.parquet", "t.json", "c.toml"):
+        (tmp_path / name).touch()
+    offers = tmp_path / "offered"
+    zsh = pexpect.spawn("zsh", ["-f", "-i"], cwd=str(tmp_path), encoding="utf-8", dimensions=(60, 200), timeout=60)
+    zsh.sendline("source setup.zsh; print LOADED-$((1 + 1))")
+    zsh.expect("LOADED-2")
+
+    def offered(line):
+        offers.write_text("")
+        zsh.send(f"{line}\t\x15print DONE-$((1 + 1))\r")  # the tabulator, then the line is wiped out
+        zsh.expect("DONE-2")
+        return set(offers.read_text().split())
+
+    assert offered("seqsweep s") == {"show", "surrogate"}
+    assert offered("seqsweep show --im") == {"--impedance"}
+    assert offered("seqsweep show --frame ") == {"pn", "dq"}
+    assert offered("seqsweep completion ") == {"bash", "zsh", "fish"}
+    assert offered("seqsweep show ") == {"y.parquet"}
+    assert offered("seqsweep run ") == {"c.toml"}
+    assert {"y.parquet", "t.json"} <= offered("seqsweep report ")
+    zsh.close(force=True)
+
+
+def test_scripts_and_the_manual_page_are_not_folded(tmp_path):
+    """They are for programs: a line that goes on below would be another line."""
+    for words in (("completion", "zsh"), ("completion", "bash"), ("completion", "fish"), ("man",)):
+        done = subprocess.run([SEQSWEEP, *words], capture_output=True, text=True, timeout=60, check=True)
+        assert any(len(line) > 80 for line in done.stdout.splitlines()), words
 
 
 def test_an_unknown_shell_is_refused():

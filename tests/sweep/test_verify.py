@@ -27,6 +27,8 @@ from seqsweep.tuning.result import to_json as tuning_json
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune
 
+from ..support.commands import unfolded
+
 CAMPAIGN = {
     "campaign": {"name": "verify"},
     "plant": {"id": "dpmsg-v1"},
@@ -69,7 +71,7 @@ def result(weak):
 def called(monkeypatch, capsys, *arguments) -> tuple[int, str, str]:
     monkeypatch.setattr(sys, "argv", ["seqsweep", *map(str, arguments)])
     status = cli._status()
-    return (status, *capsys.readouterr())
+    return (status, *map(unfolded, capsys.readouterr()))
 
 
 # ---------------------------------------------------------------- both runs
