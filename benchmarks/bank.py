@@ -57,16 +57,17 @@ def judged(table: Table, n_grids: int, n_points: int, folder: Path) -> None:
     _judge(responses[:1], table, entries[:10], folder / "first.parquet")  # imports and compilation are not the bank's
     memory_mb, begin = [_resident_mb()], time.process_time()
     _judge(responses, table, entries, folder / "judge.parquet", lambda done, total: memory_mb.append(_resident_mb()))
-    memory_mb.append(_resident_mb())  # after the file is written
     spent, pairs = time.process_time() - begin, n_points * n_grids
-    grown = memory_mb[-1] - memory_mb[0]
+    middle = len(memory_mb) // 2
+    grown, written_mb = 2.0 * (memory_mb[-1] - memory_mb[middle]), _resident_mb()
     print(
-        f"{n_points} x {n_grids}: {spent:.1f} s of CPU, {1e3 * spent / pairs:.1f} ms a pair; memory {memory_mb[0]:.0f} "
-        f"to {memory_mb[-1]:.0f} MB (at most {max(memory_mb):.0f}), {1e6 * grown / pairs:.0f} bytes a pair"
+        f"{n_points} x {n_grids}: {spent:.1f} s of CPU, {1e3 * spent / pairs:.1f} ms a pair; memory {memory_mb[0]:.1f} "
+        f"MB at the beginning, {memory_mb[middle]:.1f} half way, {memory_mb[-1]:.1f} at the end, {written_mb:.1f} when "
+        f"written: {1e6 * grown / pairs:.0f} bytes a pair in the second half"
     )
     print(
         f"predicted: {PREDICTED} x {n_grids} in {spent / pairs * PREDICTED * n_grids / 3600.0:.1f} h of one core, "
-        f"{memory_mb[0] + grown / pairs * PREDICTED * n_grids:.0f} MB"
+        f"{written_mb + grown / pairs * PREDICTED * n_grids:.0f} MB"
     )
 
 

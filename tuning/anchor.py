@@ -86,7 +86,21 @@ def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
     if not isinstance(place, Mapping):
         return Anchor(None, None, "")
     grid = grid_of_fact(place, f1_hz)
-    turns = wind_rows(rows, grid).number
+    return _on(grid, wind_rows(rows, grid).number, _bound(fact))
+
+
+def recounted(anchor: Anchor, rows: Rows, model: RationalModel) -> Anchor:
+    """The anchor as it is if the way between f1 and the lowest row is that of ``model``, not a straight one.
+
+    A pole of the device's own near f1, as an integrator has it, turns the locus there.
+    """
+    if anchor.grid is None:
+        return anchor
+    return _on(anchor.grid, wind_rows(rows, anchor.grid, model).number, anchor.growth_bound_per_s)
+
+
+def _on(grid: Grid, turns: int, bound: float) -> Anchor:
+    """What a device that was seen to be stable on a grid has of its own, if det(1 + Y Z) turns so often there."""
     if turns < 0:
         return Anchor(
             None,
@@ -95,4 +109,4 @@ def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
             f"the device was stable on {grid.label}, but the rows turn det(1 + Y Z) {turns} times there, which is "
             "unstable whatever the device's own poles: table and grid do not belong together, or rows are missing",
         )
-    return Anchor(turns, grid, grid.label, growth_bound_per_s=_bound(fact))
+    return Anchor(turns, grid, grid.label, growth_bound_per_s=bound)

@@ -10,6 +10,7 @@ import numpy as np
 from ..identify.fit.model import MAX_ORDER
 from ..identify.fit.rational import RationalModel, evaluate
 from ..identify.uncertainty import NORMAL_95
+from . import near_f1
 from .anchor import Anchor, OpenMode
 from .feeding import ACTIVE, activity, is_fed
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop_poles, is_beyond, is_swept
@@ -248,7 +249,7 @@ def _unswept(case: Case) -> str:
     hidden = _hidden_in_hole(case)
     if hidden:
         return hidden
-    unseen = [k for k in decisive if not is_swept(case.model, complex(loop.poles[k]))]
+    unseen = [k for k in decisive if not _is_known(case, complex(loop.poles[k]))]
     unseen = [k for k in unseen if loop.poles[k].real > 0.0 or _is_fed(case, float(loop.f_hz[k]))]
     if not unseen or (not case.stable and len(unseen) < len(decisive)):
         return ""
@@ -282,17 +283,27 @@ def _hidden_in_hole(case: Case) -> str:
     lowest = float(case.model.nu_hz[0])
     if case.loop.hole.start_hz > 0.0 or not case.stable:
         return ""
-    poles = np.concatenate([case.model.poles, case.loop.poles])
-    deep = np.abs(poles) * _DEEP < 2.0 * np.pi * lowest
-    if not np.any(deep):
+    own, loop = (np.abs(poles) * _DEEP < 2.0 * np.pi * lowest for poles in (case.model.poles, case.loop.poles))
+    placed = all(near_f1.placed(case.model, int(k)) for k in np.flatnonzero(own))
+    if placed and all(_is_held(case, complex(pole)) for pole in case.loop.poles[loop]):
         return ""
     return f"slow modes decide, and the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
+
+
+def _is_known(case: Case, pole: complex) -> bool:
+    """Whether rows surround a mode, or hold it on its side of the axis though it is nearer to f1 than all of them."""
+    return is_swept(case.model, pole) or _is_held(case, pole)
+
+
+def _is_held(case: Case, pole: complex) -> bool:
+    is_near = abs(pole) < 2.0 * np.pi * case.model.nu_hz[0]
+    return bool(is_near and case.rows is not None and near_f1.held(case.model, case.rows.data, case.grid, pole))
 
 
 def _mode_text(case: Case) -> str:
     """The unstable mode that grows fastest, in words."""
     loop = case.loop
-    unstable = [k for k in _decisive(case) if is_swept(case.model, complex(loop.poles[k]))]
+    unstable = [k for k in _decisive(case) if _is_known(case, complex(loop.poles[k]))]
     pole = complex(loop.poles[unstable[0]])
     if pole.imag == 0.0:
         return f"an aperiodic mode grows at {pole.real:+.3g} rad/s"

@@ -15,6 +15,9 @@ from .winding import det
 DECIDED = 0.99
 """Probability from which on a verdict is given."""
 
+_SAME_PLACE = 1e-6  # parts of the lowest |f - f1| to which a pole's place is known at best
+_NEAR_POLE = 20.0  # standard errors of a pole of the device's own within which the locus tells nothing
+
 DECIDED_AT = 2.326
 """Standard errors that make it so."""
 
@@ -34,6 +37,7 @@ def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray,
     unstable one becomes stable only if the locus is wrong at every unstable mode: the surest mode counts.
     """
     nu = nu_hz[(nu_hz >= loop.hole.doubt_from_hz) & (nu_hz <= model.nu_hz[-1])]
+    nu = nu[~_on_own_pole(model, loop, nu)]
     distance = locus_distance(model, grid, nu)
     if stable:
         nearest = int(np.argmin(distance))
@@ -43,6 +47,19 @@ def doubt(model: RationalModel, grid: Grid, loop: ClosedLoop, nu_hz: np.ndarray,
     nearest_ones = [int(np.argmin(np.where(a, distance, np.inf))) for a in near if np.any(a)]
     surest = max(nearest_ones, key=lambda k: distance[k], default=int(np.argmin(distance)))
     return Doubt(_normal(-distance[surest]), float(nu[surest]), float(distance[surest]))
+
+
+def _on_own_pole(model: RationalModel, loop: ClosedLoop, nu_hz: np.ndarray) -> np.ndarray:
+    """(n,) bool: so near to a pole of the device's own that it is not known on which side of the axis it stands.
+
+    The locus is infinite there, and its errors as well. An integrator's pole turns the locus one way or the other, and
+    the device counts one unstable mode less or more: the closed loop has the same, unless a mode of it is as near.
+    """
+    std = np.maximum(np.abs(model.pole_std), _SAME_PLACE * 2.0 * np.pi * model.nu_hz[0])
+    far = np.abs(model.poles[:, None] - loop.poles).min(axis=1, initial=np.inf)
+    own = np.flatnonzero((np.abs(model.poles.real) < _NEAR_POLE * std) & (far > 2.0 * _NEAR_POLE * std))
+    apart = np.abs(2j * np.pi * nu_hz[:, None] - model.poles[own])
+    return np.asarray(np.any(apart < _NEAR_POLE * std[own], axis=1))
 
 
 def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.ndarray:

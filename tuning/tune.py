@@ -16,7 +16,7 @@ from ..identify.fit.rational import RationalModel, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError, place_of
-from .anchor import Anchor, anchor_of
+from .anchor import Anchor, anchor_of, recounted
 from .gain import FirstGain, first_gain
 from .grid_check import grid_warnings
 from .grids.in_time import grid_of_fact
@@ -137,12 +137,24 @@ def fitted(response: FrequencyResponse) -> Device:
         problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
         return Device(response, problem=problem)
     rows = rows_of(to_dq(response))
-    anchor = anchor_of(response.meta, rows, response.f1_hz)
-    model = fit_rows(rows.data, response.f1_hz, n_unstable=anchor.n_unstable)
+    anchor, model = _anchored(rows, anchor_of(response.meta, rows, response.f1_hz), response.f1_hz)
     misfit = float(np.median(misfits(rows.data, model)))
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
     return Device(response, believed(rows, model), anchor, model, problem)
+
+
+def _anchored(rows: Rows, anchor: Anchor, f1_hz: float) -> tuple[Anchor, RationalModel]:
+    """What was proved of the device, and its fit: where they do not agree, the proof with the fit's way around f1."""
+    model = fit_rows(rows.data, f1_hz, n_unstable=anchor.n_unstable)
+    if anchor.n_unstable == model.n_unstable:
+        return anchor, model
+    again = recounted(anchor, rows, model)
+    if again == anchor:
+        return anchor, model
+    other = model if again.n_unstable == model.n_unstable else fit_rows(rows.data, f1_hz, n_unstable=again.n_unstable)
+    agrees = recounted(again, rows, other).n_unstable == again.n_unstable == other.n_unstable
+    return (again, other) if agrees else (anchor, model)
 
 
 def _judged(

@@ -97,9 +97,11 @@ def wound(admittance: Admittance, grid: Grid, band: Band, seeds_hz: np.ndarray) 
     """
     end = band.end_hz
     w1 = grid.f1_hz * np.array([0.98, 1.0, 1.02])  # where an inductive grid is smallest
-    seeds = np.concatenate([seeds_hz, about(grid.modes), w1])
+    passes = _passing_one(admittance, grid, band)
+    seeds = np.concatenate([seeds_hz, about(grid.modes), w1, passes])
     inside = np.unique(np.concatenate([[0.0, end], seeds[(seeds > 0.0) & (seeds < end)]]))
-    nu, values = refine_locus(closed_locus(admittance, grid, band), np.concatenate([inside, end * _FALL]))
+    beyond = np.unique(np.concatenate([end * _FALL, passes[passes > end]]))
+    nu, values = refine_locus(closed_locus(admittance, grid, band), np.concatenate([inside, beyond]))
     steps = np.angle(values[1:] / values[:-1])
     middle = (nu[1:] + nu[:-1]) / 2.0
     return Winding(
@@ -110,6 +112,25 @@ def wound(admittance: Admittance, grid: Grid, band: Band, seeds_hz: np.ndarray) 
         beyond_deg=float(np.degrees(np.sum(steps[middle > end]))),
         inside_deg=float(np.degrees(np.sum(steps[middle < band.lowest_hz]))),
     )
+
+
+def _passing_one(admittance: Admittance, grid: Grid, band: Band) -> np.ndarray:
+    """Where, outside the band, 1 + g passes zero the closest as an eigenvalue g of the gain falls off (Hz).
+
+    Two eigenvalues that pass together turn the locus by a whole turn there, which no step across it would show.
+    """
+    start = [] if band.start_hz <= 0.0 else band.start_hz / _least(admittance, grid, band.start_hz)
+    return np.concatenate([start, band.end_hz * _least(admittance, grid, band.end_hz)])
+
+
+def _least(admittance: Admittance, grid: Grid, nu_hz: float) -> np.ndarray:
+    """Divisors above one of the gain at |f - f1| with which 1 + g is the least, and about as far beside."""
+    at = np.array([nu_hz])
+    gains = np.linalg.eigvals(admittance(at) @ grid.impedance_dq(2j * np.pi * at))[0]
+    gains = gains[gains.real < 0.0]
+    beside = gains.imag[:, None] * np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])
+    share = ((-gains.real[:, None] + beside) / np.abs(gains[:, None]) ** 2).ravel()
+    return np.asarray(1.0 / share[(share > 0.0) & (share < 1.0)])
 
 
 def about(poles: np.ndarray) -> np.ndarray:
