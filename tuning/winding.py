@@ -119,7 +119,7 @@ def _passing_one(admittance: Admittance, grid: Grid, band: Band) -> np.ndarray:
 
     Two eigenvalues that pass together turn the locus by a whole turn there, which no step across it would show.
     """
-    start = [] if band.start_hz <= 0.0 else band.start_hz / _least(admittance, grid, band.start_hz)
+    start = np.zeros(0) if band.start_hz <= 0.0 else band.start_hz / _least(admittance, grid, band.start_hz)
     return np.concatenate([start, band.end_hz * _least(admittance, grid, band.end_hz)])
 
 

@@ -22,7 +22,7 @@ from seqsweep.tuning.poles import closed_loop, closed_loop_poles, is_swept
 from seqsweep.tuning.probability import locus_distance
 from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, impedance_pn, parse_grid, siso, siso_of_response
 from seqsweep.tuning.verdict import Stability, judge
-from seqsweep.tuning.winding import MAX_STEP_DEG, wind
+from seqsweep.tuning.winding import MAX_STEP_DEG, Band, wind, wound
 
 from ..identify.test_fit import F1_HZ, F_HZ, T_PN, U_V, W1, circuit, turbine
 from ..support import oracle
@@ -470,3 +470,16 @@ def test_siso_needs_the_phase_frame() -> None:
     response = FrequencyResponse(F_HZ, turbine().y, F1_HZ, frame="dq")
     with pytest.raises(ValueError, match="need the pn frame"):
         siso_of_response(response, LINE)
+
+
+def test_two_eigenvalues_that_pass_zero_together_beyond_the_band_turn_the_locus_by_a_whole_turn() -> None:
+    """Y Z = g 1 with g = -8 at f1 and -8 + 0.01 j at the band's end: (1 + g/r)^2 turns by -2 pi as the gain falls."""
+    grid = SeriesRL(0.02, 0.3, 50.0)
+
+    def admittance(nu_hz: np.ndarray) -> np.ndarray:
+        gain = -8.0 + 0.01j * nu_hz / 1000.0
+        return gain[:, None, None] * np.linalg.inv(grid.impedance_dq(2j * np.pi * nu_hz))
+
+    found = wound(admittance, grid, Band(0.0, 1.0, 1000.0), np.geomspace(1.0, 1000.0, 20))
+    assert found.number == -2
+    assert found.beyond_deg == pytest.approx(-360.0, abs=1.0)

@@ -27,6 +27,7 @@ from seqsweep.tuning.grids.scalar_fit import fit_impedance
 from seqsweep.tuning.siso import Grid
 from seqsweep.tuning.tune import Device, fitted
 from seqsweep.tuning.verdict import judge
+from tests.support import oracle
 from tests.support.networks import KINDS, NearCritical, impedance_of, near_critical_once
 
 FAMILIES = ("following", "forming", "rational", "turbine")
@@ -145,6 +146,46 @@ def test_a_few_other_devices_on_elements_and_on_tables_are_judged_right(tmp_path
             found = outcome(case, tabulated(case, rows, 0.0, rng))
             assert not found.wrong, (case.unit.text, case.grid)
             assert case.source != "exact" or not found.miscounted, (case.unit.text, case.grid)
+
+
+def test_an_integrator_of_the_device_s_own_is_counted_on_the_grid_that_it_was_swept_on() -> None:
+    """Voltage loops alone, swept behind a line: a pole at s = 0, of which rows from 0.4 Hz on do not tell the side."""
+    rng = np.random.default_rng(6)
+    unit = draw_unit("following", rng)
+    assert np.abs(unit.device.own_poles).min() < 1e-6
+    grid = drawn(rng, unit, "shunt_capacitor")
+    assert grid is not None
+    device = known(unit, "exact", rng, Path())
+    found = outcome(
+        Case("exact", unit, device, grid), elements_grid(grid.document, unit.bases.f1_hz).scaled(grid.scale)
+    )
+    assert device.anchor is not None
+    assert device.model is not None
+    assert device.anchor.n_unstable == device.model.n_unstable
+    assert (found.undecided, found.wrong, found.miscounted) == (False, False, False)
+
+
+@pytest.mark.parametrize("seed", [5, 50])
+def test_a_slow_mode_nearer_to_f1_than_every_row_is_decided_where_the_rows_hold_it(seed: int) -> None:
+    """A cable that resonates near f1: -0.12 and +0.25 rad/s, the lowest row 2.5 rad/s away. Noise takes the hold."""
+    rng = np.random.default_rng(seed)
+    linear = oracle.linearise(0.65e6, 690.0)
+    case = near_critical_once(rng, linear, "cable")
+    assert case is not None
+    assert case.critical.imag == 0.0
+    assert abs(case.critical.real) < 0.3
+    grid = elements_grid(case.document, 50.0).scaled(case.scale)
+    f_hz = 50.0 + np.geomspace(0.4, 1950.0, 100)
+    y = oracle.admittance_pn(f_hz, 0.65e6, 690.0)
+    true = "stable" if case.stable else "unstable"
+    for noise in (0.0, 1e-2):
+        size = noise * np.linalg.norm(y, axis=(1, 2))[:, None, None] / np.sqrt(8.0)
+        noisy = y + size * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
+        meta = {"op_id": "a", "stable_on": {"grid": "ideal", "basis": "stated"}}
+        device = fitted(FrequencyResponse(f_hz, noisy, 50.0, meta=meta))
+        assert device.model is not None
+        verdict = judge(device.model, grid, device.rows, device.anchor).verdict
+        assert verdict == (true if noise == 0.0 else "undecided")
 
 
 @pytest.mark.evidence
