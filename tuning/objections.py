@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -60,10 +61,22 @@ class Case:
         return f"winding number {self.winding.number}, open-loop unstable poles {self.model.n_unstable}"
 
 
-def decide(case: Case) -> tuple[Decision, str]:
+class Ruling(NamedTuple):
+    """The verdict, why, and what that leaves of the fit: nothing is held against it, somebody counts differently, or it
+    is shown to be wrong."""
+
+    verdict: Decision
+    reason: str
+    fit: Literal["sound", "contested", "denied"] = "sound"
+
+
+def decide(case: Case) -> Ruling:
+    """The first objection that holds, or the verdict if none does."""
     objections = (
         _untraced,
+        _unfounded,
         _unproved,
+        _miscounted,
         _too_few_rows,
         _open_end,
         _judges_disagree,
@@ -78,35 +91,42 @@ def decide(case: Case) -> tuple[Decision, str]:
     for objection in objections:
         reason = objection(case)
         if reason:
-            return "undecided", reason
+            return Ruling("undecided", reason, _FIT_IS.get(objection, "sound"))
     if case.stable:
-        return "stable", case.turns
-    return "unstable", f"{case.turns}; {_mode_text(case)}"
+        return Ruling("stable", case.turns)
+    return Ruling("unstable", f"{case.turns}; {_mode_text(case)}")
 
 
 def _untraced(case: Case) -> str:
     return "" if case.winding.trusted else f"the locus could not be traced to the end ({case.turns})"
 
 
+def _unfounded(case: Case) -> str:
+    """What experiment says cannot be, given the rows."""
+    return "" if case.anchor is None else case.anchor.problem
+
+
 def _unproved(case: Case) -> str:
-    """The count of the device's own unstable poles is what the fit made of it, or not what experiment says."""
+    """The count of the device's own unstable poles is what the fit made of it."""
     model, anchor = case.model, case.anchor
-    if anchor is None:
+    if anchor is None or anchor.n_unstable is not None or model.n_unstable == 0:
         return ""
-    if anchor.problem:
-        return anchor.problem
-    if anchor.n_unstable is None and model.n_unstable > 0:
-        return (
-            f"the fit has {model.n_unstable} unstable poles of the device's own, and nothing proves or excludes them: "
-            "the table does not say on which grid the device was stable. Say it: --stable-on ideal, or --stable-on "
-            "R+jX for the grid it was measured on"
-        )
-    if anchor.n_unstable is not None and model.n_unstable != anchor.n_unstable:
-        return (
-            f"the device was stable on {anchor.where}, which takes {anchor.n_unstable} unstable poles of its own, and "
-            f"the fit finds {model.n_unstable}: sweep more points"
-        )
-    return ""
+    return (
+        f"the fit has {model.n_unstable} unstable poles of the device's own, and nothing proves or excludes them: "
+        "the table does not say on which grid the device was stable. Say it: --stable-on ideal, or --stable-on "
+        "R+jX for the grid it was measured on"
+    )
+
+
+def _miscounted(case: Case) -> str:
+    """The count of the device's own unstable poles is not what experiment says."""
+    model, anchor = case.model, case.anchor
+    if anchor is None or anchor.n_unstable is None or model.n_unstable == anchor.n_unstable:
+        return ""
+    return (
+        f"the device was stable on {anchor.where}, which takes {anchor.n_unstable} unstable poles of its own, and "
+        f"the fit finds {model.n_unstable}: sweep more points"
+    )
 
 
 def _too_few_rows(case: Case) -> str:
@@ -192,6 +212,12 @@ def _swept_grid_denies(case: Case) -> str:
         f"the fit is unstable on {case.anchor.where}, where the device was seen to be stable, near "
         f"{_place(case.model, abs(worst.imag) / (2.0 * np.pi))}: measure more points there"
     )
+
+
+_FIT_IS: dict[Callable[[Case], str], Literal["contested", "denied"]] = {
+    **dict.fromkeys((_untraced, _unfounded, _miscounted, _too_few_rows, _swept_grid_denies), "denied"),
+    **dict.fromkeys((_unproved, _judges_disagree), "contested"),
+}
 
 
 def _left_out_row_denies(case: Case) -> str:

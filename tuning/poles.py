@@ -20,6 +20,9 @@ RESONANCE_DAMPING = 2.0**-0.5
 LIGHT = 0.1
 """Damping ratio below which a mode is lightly damped, and the ratio counts; above, how long it lasts."""
 
+SURELY = 2.326
+"""Standard errors of its real part from which on a mode surely grows: 99 %."""
+
 BEYOND = 1.5
 """Poles further out than this multiple of the highest swept |f - f1| are not believed."""
 
@@ -32,6 +35,7 @@ _BESIDE = 0.05  # relative distance from a pole of no known width within which a
 _KNOWN = 0.2  # a mode whose place is known no better than to this part of itself is none that the data carry
 _DAMPED = 0.5  # nor one whose damping is not known to a factor of two
 _NEAR_AXIS = 0.02  # unless it is as sure to be next to undamped: to this part of itself
+_SEVERAL = 2  # oscillating modes in a gap of the rows that may stand for more
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
 
@@ -72,6 +76,8 @@ class ClosedLoop:
         is none.
     leading : int or None
         The same, whether rows surround it or not: a mode that they do not surround is not named, but may decide.
+    withheld : int or None
+        Index of a mode that would be the resonance, but is not named beside the verdict that the loop got.
     hole : Hole
         The gap around f1 that has no rows.
     """
@@ -83,6 +89,7 @@ class ClosedLoop:
     critical: int | None
     leading: int | None
     hole: Hole
+    withheld: int | None = None
 
     @property
     def std(self) -> np.ndarray:
@@ -110,7 +117,11 @@ class ClosedLoop:
         """The resonance pair f1 -+ |Im|/2pi in phase quantities (Hz)."""
         if self.critical is None:
             return None
-        nu = float(self.f_hz[self.critical])
+        return self.pair_hz(self.critical)
+
+    def pair_hz(self, k: int) -> tuple[float, float]:
+        """A mode as the pair f1 -+ |Im|/2pi in phase quantities (Hz)."""
+        nu = float(self.f_hz[k])
         return self.f1_hz - nu, self.f1_hz + nu
 
     @property
@@ -129,7 +140,8 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
     carried = ~beyond & _carried(model, upper, covariance)
     swept = np.array([is_swept(model, complex(pole)) for pole in upper], dtype=bool)
-    critical, leading = (_resonance(model, upper, ~beyond, named) for named in (carried & swept, carried))
+    grows = upper.real > SURELY * np.sqrt(covariance[:, 0, 0])
+    critical, leading = (_resonance(model, upper, ~beyond, named, grows) for named in (carried & swept, carried))
     return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, leading, hole)
 
 
@@ -148,15 +160,17 @@ def _carried(model: RationalModel, poles: np.ndarray, covariance: np.ndarray) ->
     return (apart.min(axis=1, initial=np.inf) > _CARRIED) & known & ~np.any(beside, axis=1)
 
 
-def _resonance(model: RationalModel, poles: np.ndarray, believed: np.ndarray, named: np.ndarray) -> int | None:
+def _resonance(
+    model: RationalModel, poles: np.ndarray, believed: np.ndarray, named: np.ndarray, grows: np.ndarray
+) -> int | None:
     """Index of the resonance: the least damped mode, or if all are well damped the one that lasts longest.
 
-    An unstable one comes first, and where none of those can be named, nothing is. Slow modes are listed by themselves;
-    one that is unstable with nothing faster counts.
+    An unstable one comes first, and where one surely ``grows`` that cannot be named, nothing is. Slow modes are listed
+    by themselves; one that is unstable with nothing faster counts.
     """
     f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
     within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & believed
-    if np.any((poles.real > 0.0) & within):
+    if np.any((poles.real > 0.0) & within & (named | grows)):
         within &= poles.real > 0.0
     within &= named
     fast = within & (f_hz > RESONANCE_FROM_HZ)
@@ -186,6 +200,20 @@ def is_swept(model: RationalModel, pole: complex) -> bool:
         return False
     above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
     return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
+
+
+def crowded(model: RationalModel, hole: Hole) -> np.ndarray:
+    """Gaps (n,) of the rows, each below its row, that hold several oscillating modes of the device, not surrounded.
+
+    What rows outside know of a gap is the first terms of a series; a few modes there use them up, and may stand for
+    more. The first gap is the hole around f1, where nothing is asked if nothing is fed.
+    """
+    nu_hz = model.poles.imag / (2.0 * np.pi)
+    unswept = np.array([not is_swept(model, complex(pole)) for pole in model.poles], dtype=bool)
+    inside = unswept & (nu_hz > 0.0) & (nu_hz < model.nu_hz[-1])
+    number = np.bincount(np.searchsorted(model.nu_hz, nu_hz[inside]), minlength=len(model.nu_hz))
+    number[0] *= hole.start_hz == 0.0
+    return np.asarray(number >= _SEVERAL)
 
 
 def closed_loop_poles(model: RationalModel, grid: Grid) -> np.ndarray:

@@ -408,7 +408,11 @@ def _missing(entry: Mapping[str, Any], point: PointTuning) -> dict[str, str]:
 _UNBOUNDED = "it has no finite value: the noise of the table leaves it without a bound"
 _OPEN_ENDED = "no upper end: within the noise the crossing may not exist"
 _NO_CROSSING = "Y1 has no 180-degree crossing above f1 inside the swept band"
-_NO_RESONANCE = "no oscillating mode inside the swept band is carried by the data: there is nothing to damp"
+_NO_RESONANCE = (
+    "no oscillating mode inside the swept band is carried by the data, so that there is nothing to set damping control "
+    "to"
+)
+_OF_RESONANCE = ("resonance_hz", "participation", "k", "k_basis", "f_r_hz")
 _GAIN = ("k", "k_basis", "margin_m_predicted")
 _AVERSE = (
     "the nearest edge is on the side of strong grids, and damping control by the formula makes a grid look stronger: "
@@ -426,7 +430,6 @@ _NO_GAIN = "no gain that was tried by sweeping again keeps the loop stable: see 
 _WHY = {
     **dict.fromkeys(("margin_m", "margin_m_std", "margin_m_interval", "margin_met"), _NO_CROSSING),
     "critical_crossing_hz": _NO_CROSSING,
-    **dict.fromkeys(("resonance_hz", "participation", "k", "k_basis", "f_r_hz"), _NO_RESONANCE),
     **dict.fromkeys(("critical_scale", "critical_scale_std", "critical_scale_interval"), _NO_EDGE),
     "critical_scr": f"{_NO_EDGE}, or the rated values of the table are not known",
     "damping_impedance": "k multiplies the impedance of the grid",
@@ -446,4 +449,18 @@ def _why_none(key: str, point: PointTuning) -> str:
         return point.no_k
     if key in ("k", "k_basis") and point.f_r_hz is not None:
         return _NO_FORMULA if point.reached is None else _NO_GAIN
+    if key in _OF_RESONANCE:
+        return why_no_resonance(point.stability)
     return _WHY.get(key, "not known for this device and grid")
+
+
+def why_no_resonance(stability: Stability) -> str:
+    """Why no resonance is named."""
+    loop = stability.closed_loop
+    if loop.withheld is None:
+        return _NO_RESONANCE
+    below, above = loop.pair_hz(loop.withheld)
+    return (
+        f"the fit has a mode at {below:.4g}/{above:.4g} Hz, damped by {100.0 * loop.damping[loop.withheld]:.0f} %, but "
+        f"beside {stability.verdict!r} it is not sure enough to be named: there is nothing to set damping control to"
+    )

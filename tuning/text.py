@@ -11,7 +11,7 @@ from ..identify.uncertainty import NORMAL_95
 from ..identify.views.html import MOST, html_table
 from .intervals import Interval
 from .layout import fitted_table, left_out, wrapped
-from .result import PointTuning, TuningResult, mode_with_k, need
+from .result import PointTuning, TuningResult, mode_with_k, need, why_no_resonance
 
 CERTAIN = 0.999
 """A verdict with this probability, or as improbable as the rest, is called certain."""
@@ -172,10 +172,7 @@ def _remarks(result: TuningResult) -> Iterable[tuple[str, str]]:
 def _dashes(point: PointTuning) -> Iterable[str]:
     """Why there is no resonance and no k; what was not fitted has its reason already."""
     if point.stability is not None and point.resonance_hz is None:
-        yield (
-            "no resonance: no oscillating mode inside the swept band is carried by the data, so that there is nothing "
-            "to set damping control to (k: -)"
-        )
+        yield f"no resonance: {why_no_resonance(point.stability)} (k: -)"
 
 
 def _with_k(point: PointTuning) -> Iterable[str]:

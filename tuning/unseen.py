@@ -32,6 +32,11 @@ SHOWN = 24.0
 EXCLUDED = -9.0
 """Evidence below which they exclude it: three standard errors."""
 
+HARMFUL = 0.06
+"""How often a loop is unstable that the fit calls stable and whose rows do not exclude such a mode. Counted: 15 of 259
+(`benchmarks/verdicts.py --swept 0`, seeds 501 and 502, 500 tables each), however loudly the rows ask for one. The least
+residue that matters turns the locus in one direction only, and most of what rows leave open is no mode."""
+
 DENSE = 1.3
 """Neighbouring |f - f1| no further apart than this ratio leave no gap."""
 
@@ -70,12 +75,9 @@ class Unseen(NamedTuple):
 
     @property
     def harmless(self) -> float:
-        """Probability that no such mode is there, 99 % where the evidence is just let pass, or that it does no harm.
-
-        A mode that the rows ask for turns the locus in one of two directions.
-        """
+        """Probability that no such mode is there, 99 % where the evidence is just let pass, or that it does no harm."""
         absent = 1.0 / (1.0 + 0.01 * float(np.exp(min(self.excess, 100.0) / 2.0)))
-        return 0.5 + 0.5 * absent
+        return 1.0 - HARMFUL * (1.0 - absent)
 
 
 class _Places(NamedTuple):
@@ -94,10 +96,17 @@ class _Left(NamedTuple):
     cost: float
 
 
-def unseen(model: RationalModel, data: DqData, grid: Grid) -> Unseen | None:
-    """The worst mode that may hide between the rows of ``data``; None where all are excluded at a glance."""
+def unseen(model: RationalModel, data: DqData, grid: Grid, crowded: np.ndarray) -> Unseen | None:
+    """The worst mode that may hide between the rows of ``data``; None where all are excluded at a glance.
+
+    In gaps that are ``crowded`` (n,) by modes of the fit, these take up what a further mode would do to the rows, and
+    no glance excludes one. In the hole around f1 the rows have to exclude it; elsewhere they must not ask for it.
+    """
     places, left = _places(model, grid), _left(model, data)
-    glance = _glance(model, left, places)
+    glance, gap = _glance(model, left, places), np.searchsorted(model.nu_hz, places.nu_hz)
+    asked = crowded[gap] & (glance >= _AT_A_GLANCE)
+    glance = np.where(asked, 0.0, glance)
+    places = places._replace(in_gap=places.in_gap & ~(asked & (gap > 0)))
     doubtful = np.argsort(glance)[: min(_MOST, int(np.sum(glance < _AT_A_GLANCE)))]
     if len(doubtful) == 0:
         return None

@@ -7,20 +7,22 @@ the fit is follows from its covariance (`probability`). The Bode criterion is sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate_pn
 from .anchor import Anchor, open_mode
 from .crossings import Crossing, bode_crossings, critical_crossing
-from .objections import Case, Decision, decide
-from .poles import ClosedLoop, closed_loop
+from .objections import Case, Decision, Ruling, decide
+from .poles import LIGHT, ClosedLoop, closed_loop, crowded
 from .probability import doubt
 from .rows import Rows, wind_rows
 from .siso import Grid, check_fundamental, impedance_pn, siso
 from .unseen import unseen
 from .winding import Winding, about, refine_locus, wind
+
+_SHARP = 1e-3  # a mode of a contested fit is named if its place is known to this part of itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +36,9 @@ class Stability:
     reason : str
         Why, in one sentence.
     probability : float
-        Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band, and
-        whether a mode that rows or runs do not exclude changes that.
+        Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band, or how
+        surely a slow mode of the device's own decays, times the probability that no mode which the rows do not exclude
+        changes that.
     winding : Winding
         The locus.
     n_open_loop_unstable : int
@@ -96,21 +99,18 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
     doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
     by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model, loop.hole).number
-    hidden = unseen(model, rows.data, grid) if stable and rows is not None else None
+    hidden = unseen(model, rows.data, grid, crowded(model, loop.hole)) if stable and rows is not None else None
     still_open = open_mode(model, anchor) if stable else None
-    verdict, reason = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
+    ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
     return Stability(
-        verdict=verdict,
-        reason=reason,
-        probability=min(
-            doubtful.probability,
-            1.0 if hidden is None else hidden.harmless,
-            1.0 if still_open is None else still_open.decays,
-        ),
+        verdict=ruling.verdict,
+        reason=ruling.reason,
+        probability=min(doubtful.probability, 1.0 if still_open is None else still_open.decays)
+        * (1.0 if hidden is None else hidden.harmless),
         winding=winding,
         n_open_loop_unstable=model.n_unstable,
         n_unstable_by_rows=by_rows,
-        closed_loop=loop,
+        closed_loop=_beside(ruling, loop),
         crossings=crossings,
         critical=critical_crossing(crossings, model.f1_hz),
         bode_stable=all(c.m >= 1.0 for c in crossings),
@@ -122,6 +122,21 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
 def _own_modes(model: RationalModel, anchor: Anchor | None) -> int:
     """Unstable poles of the device alone: as proved, or where nothing is, as fitted."""
     return model.n_unstable if anchor is None or anchor.n_unstable is None else anchor.n_unstable
+
+
+def _beside(ruling: Ruling, loop: ClosedLoop) -> ClosedLoop:
+    """The closed loop without its resonance where the verdict takes the ground from under it.
+
+    Where no verdict is given, or an aperiodic mode makes the loop unstable, a well damped mode is not what matters, and
+    it is the least sure of all: the fit of another order has it elsewhere. Where the fit is contested, a mode has to be
+    known sharply; where it is denied, none is.
+    """
+    k = loop.critical
+    if k is None or ruling.verdict == "stable":
+        return loop
+    is_sharp = abs(loop.std[k]) < _SHARP * abs(loop.poles[k])
+    is_named = ruling.fit == "sound" or (ruling.fit == "contested" and is_sharp)
+    return loop if is_named and loop.damping[k] <= LIGHT else replace(loop, critical=None, withheld=k)
 
 
 def swept_band(model: RationalModel) -> tuple[float, float]:

@@ -61,7 +61,7 @@ def test_noise_alone_asks_for_no_mode() -> None:
     rows = np.geomspace(1.0, 900.0, 60)
     for seed in range(6):
         response = table(rows, 0.0, 1e-2, seed)
-        found = unseen(fit_response(response), to_dq(response), GRID)
+        found = unseen(fit_response(response), to_dq(response), GRID, np.zeros(len(rows), dtype=bool))
         assert found is None or found.in_gap or found.evidence < SHOWN
         assert tune_point(response, GRID).verdict == "stable"
 

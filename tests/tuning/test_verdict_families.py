@@ -18,7 +18,7 @@ from verdict_families.forming import DROOP, STIFF, Forming, draw_forming, linear
 from verdict_families.linear import Bases, J, Linear, pade, parallel
 from verdict_families.rational_devices import draw_rational
 from verdict_families.sampled_devices import draw_sampled
-from verdict_families.score import line_of
+from verdict_families.score import is_phantom, line_of
 from verdict_families.sweeping import swept
 from verdict_families.swept_plants import LinearPlant, SampledPlant
 from verdict_families.tables import T_PN
@@ -247,6 +247,14 @@ def test_no_verdict_is_wrong(first: int, tmp_path: Path) -> None:
     cases = [case for index in range(first, first + 5) for case in cases_of(SEED, index, 0.15, 3, tmp_path)]
     assert [line_of(c) for c in cases if c.wrong and not c.truth.hidden] == []
     assert [line_of(c) for c in cases if c.said.verdict == "crash"] == []
+    assert [line_of(c) for c in cases if np.isfinite(c.said.resonance.real) and is_phantom(c)] == []
+
+
+def test_several_modes_between_f1_and_the_lowest_row_are_not_judged_from_afar(tmp_path: Path) -> None:
+    """A device of order 22 with five modes within 3 Hz of f1, its lowest row 5 Hz away: once wrong with certainty."""
+    cases = cases_of(11, 1908, 0.0, 2, tmp_path)
+    assert [case.truth.n_unstable for case in cases] == [0, 2]
+    assert [line_of(c) for c in cases if c.wrong] == []
 
 
 # A run that was ended ---------------------------------------------------------------------------------------------
