@@ -33,6 +33,7 @@ _DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
 
 Decision = Literal["stable", "unstable", "undecided"]
+Standing = Literal["sound", "contested", "denied"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,7 @@ class Ruling(NamedTuple):
 
     verdict: Decision
     reason: str
-    fit: Literal["sound", "contested", "denied"] = "sound"
+    fit: Standing = "sound"
 
 
 def decide(case: Case) -> Ruling:
@@ -91,7 +92,7 @@ def decide(case: Case) -> Ruling:
     for objection in objections:
         reason = objection(case)
         if reason:
-            return Ruling("undecided", reason, _FIT_IS.get(objection, "sound"))
+            return Ruling("undecided", reason, _standing(objection))
     if case.stable:
         return Ruling("stable", case.turns)
     return Ruling("unstable", f"{case.turns}; {_mode_text(case)}")
@@ -214,10 +215,15 @@ def _swept_grid_denies(case: Case) -> str:
     )
 
 
-_FIT_IS: dict[Callable[[Case], str], Literal["contested", "denied"]] = {
-    **dict.fromkeys((_untraced, _unfounded, _miscounted, _too_few_rows, _swept_grid_denies), "denied"),
-    **dict.fromkeys((_unproved, _judges_disagree), "contested"),
-}
+_DENY_THE_FIT = (_untraced, _unfounded, _miscounted, _too_few_rows, _swept_grid_denies)
+_CONTEST_THE_FIT = (_unproved, _judges_disagree)
+
+
+def _standing(objection: Callable[[Case], str]) -> Standing:
+    """What an objection leaves of the fit."""
+    if objection in _DENY_THE_FIT:
+        return "denied"
+    return "contested" if objection in _CONTEST_THE_FIT else "sound"
 
 
 def _left_out_row_denies(case: Case) -> str:

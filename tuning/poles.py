@@ -32,6 +32,7 @@ EDGE = 1.05
 _GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _CARRIED = 0.05  # a mode so near to one of the device's own, in widths of that, does not show in the locus
 _BESIDE = 0.05  # relative distance from a pole of no known width within which a mode is its shadow
+_VAGUE = 0.3  # a pole of the device whose width is not known to this part of itself has no known width
 _KNOWN = 0.2  # a mode whose place is known no better than to this part of itself is none that the data carry
 _DAMPED = 0.5  # nor one whose damping is not known to a factor of two
 _NEAR_AXIS = 0.02  # unless it is as sure to be next to undamped: to this part of itself
@@ -153,7 +154,7 @@ def _carried(model: RationalModel, poles: np.ndarray, covariance: np.ndarray) ->
     """
     std, std_re = np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.sqrt(covariance[:, 0, 0])
     apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
-    vague = model.poles[model.pole_std.real > np.abs(model.poles.real)]  # of no known width: a row or two hold them up
+    vague = model.poles[model.pole_std.real > _VAGUE * np.abs(model.poles.real)]  # a row or two hold them up
     beside = np.abs(poles[:, None] - vague) < _BESIDE * np.abs(poles)[:, None]
     damped = std_re < np.maximum(_DAMPED * np.abs(poles.real), _NEAR_AXIS * np.abs(poles))
     known = (std < _KNOWN * np.abs(poles)) & damped
