@@ -215,8 +215,8 @@ def _swept_grid_denies(case: Case) -> str:
     )
 
 
-_DENY_THE_FIT = (_untraced, _unfounded, _miscounted, _too_few_rows, _swept_grid_denies)
-_CONTEST_THE_FIT = (_unproved, _judges_disagree)
+_DENY_THE_FIT = (_untraced, _unfounded, _miscounted, _swept_grid_denies)
+_CONTEST_THE_FIT = (_unproved, _too_few_rows, _judges_disagree)
 
 
 def _standing(objection: Callable[[Case], str]) -> Standing:
