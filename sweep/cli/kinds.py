@@ -26,7 +26,7 @@ TUNING, VERIFICATION, METRICS = "what tune wrote", "what verify wrote", "what me
 FARM_RESULT, FARM_IN_TIME = "what farm wrote", "what verify wrote of a farm"
 PROBED, MANIFEST = "a grid that seqsweep grid found", "a manifest of injected perturbations"
 PICTURE, PAGE, NOTEBOOK = "a picture", "a page (HTML)", "a notebook"
-TEXT, RECORDING, MATRIX = "text in columns", "a recording", "a MATLAB or HDF5 file"
+TEXT, RECORDING, MATRIX = "a text file", "a recording", "a MATLAB or HDF5 file"
 TOUCHSTONE, WORKBOOK = "a Touchstone file", "a workbook"
 DEVICE, MATPOWER = "a device or controller", "a MATPOWER case"
 

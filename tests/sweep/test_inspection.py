@@ -10,7 +10,7 @@ import pytest
 from seqsweep.plant.controllers.shared_object import SharedObjectError, read_shared_object
 from seqsweep.sweep.cli.check import inspect, is_inspected
 
-from ..support.commands import SEQSWEEP, campaign, command
+from ..support.commands import SEQSWEEP, campaign, command, unfolded
 from ..support.fmus import compiler, fmu
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -36,7 +36,9 @@ def library(folder, rest):
 
 
 def called_in(folder, *arguments):
-    return subprocess.run([SEQSWEEP, *arguments], cwd=folder, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([SEQSWEEP, *arguments], cwd=folder, capture_output=True, text=True, timeout=60)
+    done.stdout, done.stderr = unfolded(done.stdout), unfolded(done.stderr)
+    return done
 
 
 def test_a_library_is_read_and_not_loaded(tmp_path):
@@ -170,14 +172,14 @@ def test_a_name_that_is_no_file_is_a_plant_or_a_campaign(what):
         ("no/such", "no/such: no such file"),
         ("folder.fmu", "folder.fmu is a folder; needed: a file that could hold a plant"),
         ("./folder.fmu", "is a folder"),
-        ("notes.txt", "notes.txt is no file that could hold a plant (.fmu, .so, .dll, .py, a campaign .toml)"),
+        ("notes.txt", "notes.txt is a text file, and seqsweep check needs a plant's id, a campaign or a device"),
         ("./notes", "is no file that could hold a plant"),
     ],
 )
 def test_what_looks_like_a_file_is_refused_as_a_file(tmp_path, what, words):
     (tmp_path / "folder.fmu").mkdir()
     for name in ("notes", "notes.txt"):
-        (tmp_path / name).write_text("")
+        (tmp_path / name).write_text("a note")
     done = called_in(tmp_path, "check", what)
     assert (done.returncode, "unknown plant" in done.stderr) == (2, False)
     assert words in done.stderr
