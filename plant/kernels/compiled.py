@@ -110,10 +110,19 @@ class Kernel:
         kept = self._options.get("cache", False) and _is_whole(Path(self.py_func.__code__.co_filename))
         return numba.njit(**(self._options | {"cache": kept}))(self.py_func)
 
+    @functools.cached_property
+    def _within_kernels(self) -> Any:
+        """What other kernels call: without a way in from Python, which takes the compiler a fifth of its time."""
+        import numba
+
+        if self._options.get("cache"):
+            return self.dispatcher
+        return numba.njit(**(self._options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}))(self.py_func)
+
     @property
     def _numba_type_(self) -> Any:
         """How numba sees this function among the names that a kernel uses."""
-        return self.dispatcher._numba_type_
+        return self._within_kernels._numba_type_
 
     def _found(self, kinds: str, arguments: Sequence[Any]) -> Code:
         kept = None

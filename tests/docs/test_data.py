@@ -24,7 +24,7 @@ def recording(name: str) -> np.ndarray:
 
 
 def test_the_script_makes_every_byte_anew(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, DATA / "make.py", tmp_path], check=True, timeout=120)
+    subprocess.run([sys.executable, DATA / "make.py", tmp_path], check=True, timeout=600)
     made = {path.relative_to(tmp_path): path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     kept = {path.relative_to(DATA): path.read_bytes() for path in DATA.rglob("*") if path.is_file()}
     by_hand = {Path("README.md"), Path("make.py")}

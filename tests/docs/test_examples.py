@@ -19,7 +19,7 @@ SOURCES = EXAMPLES.parent / "tests" / "support" / "boxes"
 
 
 def output_of(*command: str, cwd: Path) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -46,7 +46,7 @@ def test_the_table_is_read_without_the_package(tmp_path: Path) -> None:
 
 def test_without_a_table_its_usage_is_told(tmp_path: Path) -> None:
     command = [sys.executable, str(EXAMPLES / "read_the_table.py")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=600)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
     assert done.stderr.startswith("usage: ")
 
@@ -54,7 +54,7 @@ def test_without_a_table_its_usage_is_told(tmp_path: Path) -> None:
 @pytest.mark.skipif(find_spec("dpsimpy") is not None, reason="dpsim is installed")
 def test_a_simulator_that_is_missing_is_wrong_input(tmp_path: Path) -> None:
     command = [SEQSWEEP, "run", "examples/dpsim_plant.toml", "-o", str(tmp_path / "y.parquet")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=EXAMPLES.parent, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=EXAMPLES.parent, timeout=600)
     assert done.returncode == 2
     assert "pip install 'seqsweep[bench]'" in done.stderr
     assert not list(tmp_path.iterdir())

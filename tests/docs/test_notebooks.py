@@ -18,7 +18,7 @@ RUN = """
 import sys, nbformat
 from nbclient import NotebookClient
 book = nbformat.read(sys.argv[1], 4)
-NotebookClient(book, timeout=120, kernel_name="python3", resources={"metadata": {"path": sys.argv[2]}}).execute()
+NotebookClient(book, timeout=600, kernel_name="python3", resources={"metadata": {"path": sys.argv[2]}}).execute()
 nbformat.write(book, sys.argv[3])
 """
 
@@ -39,7 +39,7 @@ def test_a_notebook_runs(path, tmp_path):
         shutil.copytree(data, tmp_path / "data", ignore=left_out)
     executed = tmp_path / "executed.ipynb"
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", RUN, path, folder, executed], capture_output=True, text=True, timeout=180
+        [sys.executable, "-W", "ignore", "-c", RUN, path, folder, executed], capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert '"image/png"' in executed.read_text() or path.stem != "turbine"

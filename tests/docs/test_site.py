@@ -47,7 +47,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [*command, *quick, "-d", folder / "doctrees", source, folder / "html"],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return folder / "html"
@@ -247,7 +247,7 @@ def shown_by_chromium(url: str, folder: Path, *options: str) -> tuple[str, str, 
         ],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
         check=True,
     )
     said = "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line and '"[PST]: ' not in line)

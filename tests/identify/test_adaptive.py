@@ -335,7 +335,7 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path):
         wait_for(lambda: len(shards_of(tables[0])) >= 3 or process.poll() is not None)
         assert process.poll() is None
         os.kill(process.pid, signal.SIGKILL)
-        process.wait(timeout=10)
+        process.wait(timeout=300)
     finally:
         end_group(process)
     for table in tables:

@@ -17,7 +17,7 @@ from seqsweep.plant.greybox.turbine import GreyTurbine
 from seqsweep.plant.protocol import Job, OperatingPoint, Source
 from seqsweep.plant.registry import PlantError, make_plant
 
-from ..support.commands import call
+from ..support.commands import command
 from ..support.controllers import COMPILER, INPUTS, OUTPUTS, build, needs_compiler
 
 pytestmark = needs_compiler
@@ -45,10 +45,10 @@ def test_a_description_names_ports_parameters_and_what_would_be_executed():
 
 
 def test_the_command_asks_a_library_what_it_is_and_reads_a_file_without_loading_it():
-    asked = call("check", f"cigre:{build()}")
+    asked = command("check", f"cigre:{build()}")
     assert asked.returncode == 0
     assert asked.stdout.rstrip().splitlines() == describe(build())
-    read = call("check", build())
+    read = command("check", build())
     assert read.returncode == 0
     assert f"seqsweep check cigre:{build()}" in read.stdout
 
@@ -57,10 +57,10 @@ def test_a_library_that_dies_as_it_is_loaded_is_wrong_input(tmp_path):
     path = tmp_path / "fatal.so"
     (tmp_path / "fatal.c").write_text("#include <stdlib.h>\n__attribute__((constructor)) void f(void) { abort(); }\n")
     subprocess.run([COMPILER, "-shared", "-fPIC", "-o", path, tmp_path / "fatal.c"], check=True)
-    died = call("check", f"cigre:{path}")
+    died = command("check", f"cigre:{path}")
     assert died.returncode == 2
     assert "cannot say what it is: signal 6" in died.stderr
-    absent = call("check", f"cigre:{tmp_path / 'absent.so'}")
+    absent = command("check", f"cigre:{tmp_path / 'absent.so'}")
     assert absent.returncode == 2
     assert "cannot be read: No such file" in absent.stderr
 

@@ -14,7 +14,7 @@ from seqsweep.plant.protocol import Conditions, Job, NotSettled, OperatingPoint,
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.config.file import parse
 
-from ..support.commands import call
+from ..support.commands import command
 from ..support.controllers import (
     BATTERY_MAP,
     FOLLOWING_MAP,
@@ -214,7 +214,7 @@ def test_outputs_are_guessed_too(name, unit, width, signal):
 def test_a_drafted_campaign_is_swept_as_it_is(tmp_path, switches, signals):
     library = build_inverter(*switches)
     campaign, table = tmp_path / "drafted.toml", tmp_path / "y.parquet"
-    made = call("init", "--plant", library, "-o", campaign)
+    made = command("init", "--plant", library, "-o", campaign)
     assert made.returncode == 0, made.stderr
     drafted = parse(campaign.read_text(), campaign)["plant"]["parameters"]
     assert set(drafted["inputs"]) == set(signals["inputs"])
@@ -224,7 +224,7 @@ def test_a_drafted_campaign_is_swept_as_it_is(tmp_path, switches, signals):
     campaign.write_text(
         text.replace("f_min_hz = 1.0\n", "").replace("f_max_hz = 1000.0\n", "").replace("points = 60\n", "")
     )
-    swept = call("run", campaign, "-o", table, *short)
+    swept = command("run", campaign, "-o", table, *short)
     assert swept.returncode == 0, swept.stderr
     assert "3 ok" in swept.stdout + swept.stderr
 
@@ -233,7 +233,7 @@ def test_only_a_real_code_controller_is_drafted(tmp_path):
     other = tmp_path / "plant.py"
     other.write_text("x = 1\n")
     for given in (other, tmp_path / "none.so"):
-        refused = call("init", "--plant", given, "-o", tmp_path / "c.toml")
+        refused = command("init", "--plant", given, "-o", tmp_path / "c.toml")
         assert refused.returncode == 2
         assert "--plant" in refused.stderr
         assert not (tmp_path / "c.toml").exists()

@@ -16,7 +16,7 @@ from seqsweep.plant.check import check_plant
 from seqsweep.plant.protocol import Injection, Job, OperatingPoint, Source, Tone
 
 from ..support import step_plants
-from ..support.commands import HERE, call, campaign, end_group, ended, group_members, shards_of, start, wait_for
+from ..support.commands import HERE, campaign, command, end_group, ended, group_members, shards_of, start, wait_for
 
 PEER = f"{sys.executable} {HERE / 'boxes' / 'peer.py'}"
 RATED = OperatingPoint(0.0, 690.0)
@@ -46,7 +46,7 @@ def test_a_program_gives_the_very_samples_of_the_device_it_wraps(parameters):
 def test_the_same_sweep_through_a_process_gives_the_same_table(tmp_path):
     tables = []
     for name, plant in (("wrapped", "python:step_plants:branch"), ("through", f"process:{PEER}")):
-        done = call("run", campaign(tmp_path, plant=plant, n=4), "-o", tmp_path / f"{name}.parquet", timeout=120)
+        done = command("run", campaign(tmp_path, plant=plant, n=4), "-o", tmp_path / f"{name}.parquet")
         assert done.returncode == 0, done.stderr
         tables.append(read_table(tmp_path / f"{name}.parquet").responses[0])
     wrapped, through = tables
@@ -113,7 +113,7 @@ def test_a_wrong_card_is_refused_by_key(case):
 @pytest.mark.parametrize("fault", ["garbage", "silence", "exit"])
 def test_a_program_that_cannot_introduce_itself_is_wrong_input(tmp_path, fault):
     lines = f'[plant.parameters]\nhello = "{fault}"\nanswer_s = 1.0'
-    done = call("run", campaign(tmp_path, plant=f"process:{PEER}", plant_lines=lines), "-o", tmp_path / "y.parquet")
+    done = command("run", campaign(tmp_path, plant=f"process:{PEER}", plant_lines=lines), "-o", tmp_path / "y.parquet")
     assert done.returncode == 2
     assert done.stderr.startswith(f"process:{PEER} cannot be made: ")
     assert "PeerError" not in done.stderr
@@ -121,9 +121,9 @@ def test_a_program_that_cannot_introduce_itself_is_wrong_input(tmp_path, fault):
 
 
 def test_a_command_that_is_none_is_refused():
-    for command in ("/no/such/program", "'unfinished", ""):
+    for words in ("/no/such/program", "'unfinished", ""):
         with pytest.raises(ValueError, match="cannot be started"):
-            Peer(command, 1.0)
+            Peer(words, 1.0)
 
 
 def test_a_program_that_answers_while_it_reads_does_not_block():
@@ -144,7 +144,7 @@ def test_a_killed_runner_takes_a_silent_program_with_it(tmp_path):
         time.sleep(0.3)
         process.kill()
         process.wait()
-        wait_for(lambda: not group_members(process.pid), 5.0)
+        wait_for(lambda: not group_members(process.pid), 120.0)
     finally:
         end_group(process)
 

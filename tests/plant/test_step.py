@@ -13,7 +13,7 @@ from seqsweep.plant.check import check_plant
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone
 
 from ..support import step_plants
-from ..support.commands import call, campaign
+from ..support.commands import campaign, command
 from ..support.step_plants import DT_S, KEEP, admittance
 from ..support.sweeps import planned, rows_of, swept
 
@@ -170,7 +170,7 @@ def test_a_step_or_rating_that_cannot_be_is_refused(change, words):
 
 def test_a_step_function_is_swept_from_the_command_line(tmp_path):
     path, table = campaign(tmp_path, plant="python:step_plants:unbalanced", n=4), tmp_path / "y.parquet"
-    done = call("run", path, "-o", table)
+    done = command("run", path, "-o", table)
     assert done.returncode == 0, done.stderr
     assert "4 ok" in done.stderr
 

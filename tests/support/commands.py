@@ -61,8 +61,8 @@ def slow_campaign(folder, *, plant="python:plants:SlowBranch", rest_s=0.02, extr
     return campaign(folder, plant=plant, plant_lines=lines, powers=[0.1 + 0.1 * k for k in range(n_points)], n=24)
 
 
-def call(*arguments, timeout=60, wrapper=(), **options):
-    """Run the command to its end."""
+def call(*arguments, timeout=600, wrapper=(), **options):
+    """Run the command to its end; a machine with much else to do may take its time."""
     command = [*wrapper, SEQSWEEP, *map(str, arguments)]
     done = subprocess.run(
         command, cwd=HERE, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL, **options
@@ -164,7 +164,7 @@ def start(*arguments, **options):
     )
 
 
-def ended(*arguments, timeout=180, **options):
+def ended(*arguments, timeout=600, **options):
     """Run the command to its end, see that no process of its session is left, and give (exit status, stderr)."""
     process = start(*arguments, **options)
     try:
@@ -180,7 +180,7 @@ def shards_of(output):
     return list(output.with_name(output.name + ".parts").glob("?" * 64))
 
 
-def wait_for(condition, timeout_s=30.0):
+def wait_for(condition, timeout_s=300.0):
     """Poll until ``condition()``; fails after ``timeout_s``."""
     end = time.monotonic() + timeout_s
     while not condition():

@@ -241,6 +241,8 @@ def _wrong_refusal(text: str, path: Path) -> str:
     return "" if len(cause) >= 8 else "no cause"
 
 
-if __name__ == "__main__":
+if __name__ == "__main__":  # seed, count, then a kind and a folder, again and again; a line of JSON for each
     warnings.simplefilter("ignore")
-    print(json.dumps(outcome(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))))
+    seed, count, *subjects = sys.argv[1:]
+    for kind, place in zip(subjects[::2], subjects[1::2], strict=True):
+        print(json.dumps(outcome(kind, Path(place), int(seed), int(count))), flush=True)

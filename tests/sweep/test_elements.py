@@ -21,7 +21,19 @@ from pathlib import Path
 import pytest
 
 from ..support import fmus
-from ..support.commands import HERE, SEQSWEEP, TOP, call, campaign, end_group, shards_of, slow_campaign, start, wait_for
+from ..support.commands import (
+    HERE,
+    SEQSWEEP,
+    TOP,
+    call,
+    campaign,
+    command,
+    end_group,
+    shards_of,
+    slow_campaign,
+    start,
+    wait_for,
+)
 from ..support.controllers import COMPILER, needs_compiler
 
 MACHINE = 4
@@ -50,14 +62,14 @@ def with_failure(command, below, at, code, *, counter, once=False, **environment
         "FAIL_ON": "once" if once else "",
         "FAIL_COUNT": str(counter),
     }
-    done = call(*command, timeout=180, env={**os.environ, **failing, **environment})
+    done = call(*command, timeout=600, env={**os.environ, **failing, **environment})
     return done, counter.stat().st_size if counter.exists() else 0
 
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     path = tmp_path_factory.mktemp("elements") / "y.parquet"
-    done = call("run", TOP / "examples" / "table1.toml", "-o", path, timeout=180)
+    done = command("run", TOP / "examples" / "table1.toml", "-o", path)
     assert done.returncode == 0, done.stderr
     return path
 
@@ -129,13 +141,13 @@ def test_a_disk_that_fails_at_any_moment_costs_one_line(tmp_path, table, name, c
 def test_a_run_that_met_a_full_disk_goes_on_to_the_same_bytes(tmp_path):
     path, counter, out = campaign(tmp_path, powers=(0.3, 0.6)), tmp_path / "count", tmp_path / "out"
     out.mkdir()
-    assert call("run", path, "-o", tmp_path / "fresh.parquet").returncode == 0
+    assert command("run", path, "-o", tmp_path / "fresh.parquet").returncode == 0
     table = out / "y.parquet"
     done, _ = with_failure(["run", path, "-o", table], out, 12, errno.ENOSPC, counter=counter)
     assert done.returncode == MACHINE
     assert "run the same command again to go on" in done.stderr
     assert shards_of(table)
-    assert call("run", path, "-o", table).returncode == 0
+    assert command("run", path, "-o", table).returncode == 0
     assert table.read_bytes() == (tmp_path / "fresh.parquet").read_bytes()
 
 
@@ -163,9 +175,9 @@ def test_no_room_to_unpack_an_fmu_is_a_failure_of_the_machine(tmp_path):
 @LINUX
 def test_a_box_that_needs_more_memory_than_it_may_costs_its_own_points(tmp_path):
     path = campaign(tmp_path, plant="python:misbehaving_plants:Leaking", plant_lines="memory_mb = 600", n=2)
-    done = call("run", path, "-o", tmp_path / "y.parquet", timeout=120)
+    done = call("run", path, "-o", tmp_path / "y.parquet", timeout=600)
     assert done.returncode == 1, done.stderr
-    shown = call("show", tmp_path / "y.parquet")
+    shown = command("show", tmp_path / "y.parquet")
     assert "MB of memory; plant.memory_mb allows 600 MB" in " ".join(shown.stdout.split())
 
 
@@ -184,7 +196,7 @@ print(sum(1 for fields in mine if fields[0] == "Z" and int(fields[1]) == os.getp
 def test_what_a_box_has_started_is_buried_where_the_first_process_does_not(tmp_path):
     path = campaign(tmp_path, plant="python:misbehaving_plants:Forking", plant_lines="timeout_s = 0.3", n=2)
     line = [sys.executable, "-c", WITHOUT_UNDERTAKER, SEQSWEEP, "run", str(path), "-o", str(tmp_path / "y.parquet")]
-    done = subprocess.run(line, cwd=HERE, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(line, cwd=HERE, capture_output=True, text=True, timeout=600, check=True)
     zombies, status, *_ = done.stdout.split()
     assert (zombies, status) == ("0", "1"), done.stdout
 
@@ -208,7 +220,7 @@ def test_a_small_machine_suffices(tmp_path, limits):
     small, large = tmp_path / "small.parquet", tmp_path / "large.parquet"
     done = call("run", path, "-o", small, "--jobs", 2, preexec_fn=few(**limits))
     assert done.returncode == 0, done.stderr
-    assert call("run", path, "-o", large).returncode == 0
+    assert command("run", path, "-o", large).returncode == 0
     assert small.read_bytes() == large.read_bytes()
 
 
@@ -232,7 +244,7 @@ def test_an_output_that_is_moved_during_the_run_costs_one_line(tmp_path):
     try:
         wait_for(lambda: shards_of(table))
         out.rename(tmp_path / "elsewhere")
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=600)
     finally:
         end_group(process)
     assert process.returncode == MACHINE, said
@@ -252,7 +264,7 @@ def test_who_is_told_to_ignore_ctrl_c_is_still_ended_by_sigterm(tmp_path):
         time.sleep(0.5)
         assert process.poll() is None
         process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=600)
     finally:
         end_group(process)
     assert process.returncode == 3, said

@@ -13,7 +13,7 @@ from seqsweep.sweep.verify.scenario import ScenarioError
 from seqsweep.sweep.verify.tuned import VerifyError
 from seqsweep.tuning.farm.units import Library
 from tests.support import farms
-from tests.support.commands import call
+from tests.support.commands import command
 from tests.support.farm_oracle import Star, closed_loop
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.0052 + 0.1105j)
@@ -191,6 +191,6 @@ def test_devices_that_cannot_be_simulated_together_are_refused(truth):
 
 def test_options_of_a_tuning_do_not_go_with_a_farm(tmp_path):
     (tmp_path / "farm.toml").write_text("name = 'x'\n")
-    found = call("verify", tmp_path / "farm.toml", "--op", "p")
+    found = command("verify", tmp_path / "farm.toml", "--op", "p")
     assert found.returncode == 2
     assert "a farm file names its tables itself" in found.stderr

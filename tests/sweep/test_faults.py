@@ -31,7 +31,7 @@ def with_bug(expression, *arguments, cwd):
         f"def bug(*given): {expression}\n"
         f"plan.make_plan = bug; sys.argv = ['seqsweep', *{list(map(str, arguments))!r}]; command.main()"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=cwd, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], cwd=cwd, capture_output=True, text=True, timeout=600)
     done.stderr = unfolded(done.stderr)
     return done
 

@@ -36,7 +36,7 @@ def library(folder, rest):
 
 
 def called_in(folder, *arguments):
-    done = subprocess.run([SEQSWEEP, *arguments], cwd=folder, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([SEQSWEEP, *arguments], cwd=folder, capture_output=True, text=True, timeout=600)
     done.stdout, done.stderr = unfolded(done.stdout), unfolded(done.stderr)
     return done
 

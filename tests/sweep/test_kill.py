@@ -35,9 +35,9 @@ def killed(path, table, moment, *options, orphans=False):
         caught = process.poll() is None
         if caught:
             os.kill(process.pid, signal.SIGKILL)
-        process.wait(timeout=10)
+        process.wait(timeout=300)
         if not orphans:
-            wait_for(lambda: not group_members(process.pid), 15.0)  # workers notice, and go by themselves
+            wait_for(lambda: not group_members(process.pid), 120.0)  # workers notice, and go by themselves
         return caught
     finally:
         end_group(process)
@@ -106,7 +106,7 @@ def struck(path, table, at_s, dice, *options):
             hit = "runner" if victim == process.pid else "other"
             with suppress(ProcessLookupError):
                 os.kill(victim, signal.SIGKILL)
-        _, said = process.communicate(timeout=120)
+        _, said = process.communicate(timeout=600)
     finally:
         end_group(process)
     assert process.returncode in (0, 3, 4, -signal.SIGKILL), said

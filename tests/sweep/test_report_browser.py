@@ -13,7 +13,7 @@ import pytest
 
 from seqsweep.sweep.report.handover.pdf import PdfError, browser
 
-from ..support.commands import call, campaign
+from ..support.commands import campaign, command
 
 try:
     CHROMIUM = browser()
@@ -55,11 +55,11 @@ document.title = JSON.stringify({ seen, dark, colours, paper, head, fetched });
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shown")
     file = campaign(folder, plant="branch-v1", powers=(0.0, 0.1), n=24)
-    assert call("run", file, "-o", folder / "y.parquet", "--jobs", 1).returncode == 0
+    assert command("run", file, "-o", folder / "y.parquet", "--jobs", 1).returncode == 0
     tuned = ("tune", folder / "y.parquet", "--grid", "0.02+0.3j", "--scale", "1.0,2.0", "-o", folder / "t.json")
-    assert call(*tuned).returncode == 0
-    assert call("judge", folder / "y.parquet", "--grids", _bank(folder), "-o", folder / "j.parquet").returncode == 0
-    done = call("report", folder / "y.parquet", folder / "t.json", folder / "j.parquet", "-o", folder / "r.html")
+    assert command(*tuned).returncode == 0
+    assert command("judge", folder / "y.parquet", "--grids", _bank(folder), "-o", folder / "j.parquet").returncode == 0
+    done = command("report", folder / "y.parquet", folder / "t.json", folder / "j.parquet", "-o", folder / "r.html")
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -76,7 +76,7 @@ def _bank(folder):
 def shown(page, tmp_path, *flags):
     """The page's DOM and what the browser said on the way."""
     command = [CHROMIUM, *FLAGS, *flags, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, stdin=subprocess.DEVNULL)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, check=True, stdin=subprocess.DEVNULL)
 
 
 def measured(folder, tmp_path, *flags):
@@ -155,7 +155,7 @@ def test_text_has_contrast_by_day_and_by_night(folder, tmp_path, dark):
 
 
 def test_the_command_prints_beside_the_page_without_a_date(folder, tmp_path):
-    done = call("report", folder / "y.parquet", folder / "t.json", "-o", tmp_path / "r.html", "--pdf")
+    done = command("report", folder / "y.parquet", folder / "t.json", "-o", tmp_path / "r.html", "--pdf")
     assert done.returncode == 0, done.stderr
     paper = (tmp_path / "r.pdf").read_bytes()
     assert paper.startswith(b"%PDF")

@@ -21,7 +21,7 @@ from ..support.commands import SEQSWEEP, TOP, campaign, command
 
 
 def test_the_module_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "seqsweep", "-h"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-m", "seqsweep", "-h"], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0
     assert "compare" in done.stdout
 
@@ -239,7 +239,7 @@ def completed(shell, line, folder):
         arguments = ["bash", "-c", f'source {file}; {line}; printf "%s\\n" "${{COMPREPLY[@]}}"']
     else:
         arguments = ["fish", "-c", f"source {file}; complete -C '{line}'"]
-    done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=600, check=True)
     return {offered.split("\t")[0] for offered in done.stdout.splitlines()}
 
 
@@ -282,7 +282,7 @@ def test_zsh_completes_commands_options_values_and_files(tmp_path):
     for name in ("y.parquet", "t.json", "c.toml"):
         (tmp_path / name).touch()
     offers = tmp_path / "offered"
-    zsh = pexpect.spawn("zsh", ["-f", "-i"], cwd=str(tmp_path), encoding="utf-8", dimensions=(60, 200), timeout=60)
+    zsh = pexpect.spawn("zsh", ["-f", "-i"], cwd=str(tmp_path), encoding="utf-8", dimensions=(60, 200), timeout=600)
     zsh.sendline("source setup.zsh; print LOADED-$((1 + 1))")
     zsh.expect("LOADED-2")
 
@@ -305,7 +305,7 @@ def test_zsh_completes_commands_options_values_and_files(tmp_path):
 def test_scripts_and_the_manual_page_are_not_folded(tmp_path):
     """They are for programs: a line that goes on below would be another line."""
     for words in (("completion", "zsh"), ("completion", "bash"), ("completion", "fish"), ("man",)):
-        done = subprocess.run([SEQSWEEP, *words], capture_output=True, text=True, timeout=60, check=True)
+        done = subprocess.run([SEQSWEEP, *words], capture_output=True, text=True, timeout=600, check=True)
         assert any(len(line) > 80 for line in done.stdout.splitlines()), words
 
 
@@ -327,7 +327,7 @@ def test_the_manual_page_is_read_without_a_warning(tmp_path):
         pytest.skip("no groff here: the manual page is not laid out")
     page = command("man").stdout
     done = subprocess.run(
-        ["groff", "-man", "-Tascii", "-ww"], input=page, capture_output=True, text=True, timeout=60, check=True
+        ["groff", "-man", "-Tascii", "-ww"], input=page, capture_output=True, text=True, timeout=600, check=True
     )
     assert "seqsweep show" in done.stdout
     assert [line for line in done.stderr.splitlines() if "cannot" not in line] == []

@@ -13,7 +13,7 @@ from seqsweep.sweep.worst import confirmed_worst, sweeping
 from seqsweep.tuning.region.scan import Scan
 from seqsweep.tuning.region.worst import _cost, worst_of_bank
 
-from ..support.commands import call
+from ..support.commands import command
 from ..support.regions import BASES, PQV, PV, bank_of_27, brute_force, exact_margin, swept
 from .test_region import REGION
 
@@ -59,21 +59,22 @@ def test_least_damping_and_probability_are_found_on_the_weakest_grid(least):
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("worst")
     (folder / "region.toml").write_text(REGION)
-    call("run", folder / "region.toml", "-o", folder / "y.parquet", "--jobs", 1)
-    done = call("surrogate", folder / "y.parquet", "-o", folder / "s.parquet")
+    command("run", folder / "region.toml", "-o", folder / "y.parquet", "--jobs", 1)
+    done = command("surrogate", folder / "y.parquet", "-o", folder / "s.parquet")
     assert done.returncode == 0, done.stderr
     return folder
 
 
 def test_tune_confirms_the_worst_point_by_a_sweep(files):
-    done = call("tune", files / "s.parquet", "--worst", "--grid", "0.01+0.12j", "--source-voltage", "1.0", "--jobs", 1)
+    options = ("--grid", "0.01+0.12j", "--source-voltage", "1.0", "--jobs", 1)
+    done = command("tune", files / "s.parquet", "--worst", *options)
     assert done.returncode == 0, done.stderr
     assert "It was swept; predicted was m = " in done.stdout
     assert "worst operating point by margin: (P, Q, |v|) = (1, 0, " in done.stdout
 
 
 def test_tune_follows_the_load_flow_of_a_surrogate(files):
-    done = call("tune", files / "s.parquet", "--grid", "0.004+0.05j", "--source-voltage", "1.0", "--power", "0.65")
+    done = command("tune", files / "s.parquet", "--grid", "0.004+0.05j", "--source-voltage", "1.0", "--power", "0.65")
     assert done.returncode == 0, done.stderr
     assert "p0.65_q0" in done.stdout
 
@@ -81,7 +82,7 @@ def test_tune_follows_the_load_flow_of_a_surrogate(files):
 def test_judge_takes_a_surrogate(files):
     base = "rated_power_mw = 1.632\nvoltage_kv = 0.69\n"
     (files / "one.toml").write_text(base + "[[element]]\nkind = 'source'\nscr = 5.8\nx_over_r = 12\n")
-    done = call("judge", files / "s.parquet", "--grids", files / "one.toml", "--source-voltage", 1.0, "--jobs", 1)
+    done = command("judge", files / "s.parquet", "--grids", files / "one.toml", "--source-voltage", 1.0, "--jobs", 1)
     assert done.returncode == 0, done.stderr + done.stdout
     assert "p0.3_q0" in done.stdout
 
@@ -133,10 +134,10 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("command", "words"), REFUSED.values(), ids=REFUSED)
-def test_what_a_surrogate_cannot_answer_is_refused(files, command, words):
-    name, table, *options = command
-    done = call(name, files / table, *options)
+@pytest.mark.parametrize(("asked", "words"), REFUSED.values(), ids=REFUSED)
+def test_what_a_surrogate_cannot_answer_is_refused(files, asked, words):
+    name, table, *options = asked
+    done = command(name, files / table, *options)
     assert done.returncode == 2, done.stdout
     assert words in " ".join(done.stderr.split())
 
