@@ -15,7 +15,7 @@ demo: $(READY)
 	$(BIN)/seqsweep show build/table1.parquet --plot build/table1.png
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --durations-min=1
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""What `make evidence` finds is kept: every evidence test's words go to docs/evidence.md."""
+"""The order of the files, and what `make evidence` finds: every evidence test's words go to docs/evidence.md."""
 
 from __future__ import annotations
 
@@ -18,8 +18,31 @@ for _name in ("COLUMNS", "LINES"):  # readline, which pytest imports, gives them
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # begun by a shell's "&": commands would not hear Ctrl-C either
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-PAGE = Path(__file__).parent.parent / "docs" / "evidence.md"
+HERE = Path(__file__).parent
+PAGE = HERE.parent / "docs" / "evidence.md"
 _said: dict[str, str] = {}
+
+LONG = (
+    "plant/test_farm_in_time.py", "sweep/test_grey_verify.py", "plant/test_emt.py", "sweep/test_kill.py",
+    "sweep/test_elements.py", "tuning/test_farm_advice.py", "sweep/test_show.py", "plant/test_grey_fmu.py",
+    "sweep/test_worst.py", "docs/test_notebooks.py", "plant/test_grey.py", "sweep/test_cli.py",
+    "sweep/test_report_browser.py", "plant/test_turbine_reactive.py", "tuning/test_verdict_families.py",
+    "sweep/test_farm_verify.py", "plant/test_inverters.py", "identify/test_confidence.py", "docs/test_examples.py",
+    "identify/test_jumps.py", "docs/test_paper.py", "plant/test_grey_inverter.py", "identify/test_hear.py",
+    "plant/test_process.py", "sweep/test_progress.py", "plant/test_step.py", "plant/test_compiled.py",
+    "sweep/test_report.py", "sweep/test_region.py", "plant/test_fmu.py", "identify/test_adaptive.py",
+    "tuning/grids/test_in_time.py", "sweep/test_farm_command.py", "face/test_trust.py", "sweep/test_damaged_files.py",
+    "sweep/test_report_many.py", "sweep/test_inverter_damping.py", "sweep/test_dask.py", "sweep/test_grid_elements.py",
+    "plant/test_grey_faults.py",
+)  # fmt: skip
+"""Files that take longest. They begin first, so that no worker is left alone with one at the end; files that need the
+same kernels stand apart, so that the second finds them compiled."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whole files in that order, then the others; pytest-xdist takes them so with ``--no-loadscope-reorder``."""
+    places = {HERE / name: place for place, name in enumerate(LONG)}
+    items.sort(key=lambda item: places.get(item.path, len(LONG)))
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import socket
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ PIPES = {
 """Modules that unpickle, and what: both ends are this program."""
 
 
+@cache
 def calls(path: Path) -> list[str]:
     """Names of what a module calls, as written: ``eval``, ``pickle.loads``."""
     nodes = ast.walk(ast.parse(path.read_text("utf-8")))

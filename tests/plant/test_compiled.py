@@ -70,10 +70,17 @@ def test_the_second_process_calls_the_same_code_without_numba(warm):
     "damage",
     [lambda held: held[:-1], lambda held: held[:40] + b"x" + held[41:], lambda held: b"", lambda held: b"junk"],
 )
-def test_a_damaged_file_is_made_anew(warm, damage):
+def test_damage_to_a_file_is_seen(warm, tmp_path, damage):
+    (path,) = files(warm)
+    assert compiled._read(path)
+    (tmp_path / path.name).write_bytes(damage(path.read_bytes()))
+    assert compiled._read(tmp_path / path.name) is None
+
+
+def test_a_damaged_file_is_made_anew(warm):
     (path,) = files(warm)
     whole = path.read_bytes()
-    path.write_bytes(damage(whole))
+    path.write_bytes(whole[:-1])
     assert called(warm) == (WANTED, True)
     assert called(warm) == (WANTED, False)
     assert len(path.read_bytes()) == len(whole)

@@ -111,14 +111,14 @@ def survived(command, out, at, code, counter, once=False):
 
 @LINUX
 @needs_compiler
-@pytest.mark.parametrize("name", ["run", "metrics"])
+@pytest.mark.parametrize("name", ["run", "csv"])
 def test_a_disk_that_is_full_costs_one_line(tmp_path, table, name):
     command, counter = commands(table, tmp_path / "out")[name], tmp_path / "count"
     (tmp_path / "out").mkdir()
     done, tried = with_failure(command, tmp_path / "out", 0, errno.ENOSPC, counter=counter)
     assert done.returncode == 0, done.stderr
     assert tried >= 4
-    for at in random.sample(range(1, tried + 1), 3):
+    for at in random.sample(range(1, tried + 1), 2):
         assert survived(command, tmp_path / "out", at, errno.ENOSPC, counter)
 
 

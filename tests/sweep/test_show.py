@@ -170,12 +170,18 @@ def test_what_is_not_a_table_is_refused(tmp_path: Path) -> None:
 # The plot
 
 
+@pytest.fixture(scope="module")
+def drawn(one: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the picture of one operating point in every format."""
+    folder = tmp_path_factory.mktemp("drawn")
+    assert [bode(one, folder / f"bode{suffix}") for suffix in SUFFIXES] == 3 * [("p065",)]
+    return folder
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_suffix_decides_the_format(one: Path, tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"bode{suffix}"
-    assert bode(one, path) == ("p065",)
-    assert path.read_bytes().startswith(SIGNATURES[suffix])
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+def test_the_suffix_decides_the_format(drawn: Path, suffix: str) -> None:
+    assert (drawn / f"bode{suffix}").read_bytes().startswith(SIGNATURES[suffix])
+    assert sorted(file.name for file in drawn.iterdir()) == sorted(f"bode{each}" for each in SUFFIXES)
 
 
 @pytest.mark.parametrize("name", ["bode.jpg", "bode", "bode.png.txt"])
@@ -198,15 +204,13 @@ def test_another_frame_is_refused_and_nothing_is_written(tmp_path: Path) -> None
     assert not list(tmp_path.iterdir())
 
 
-def test_the_same_table_gives_the_same_svg(one: Path, tmp_path: Path) -> None:
-    bode(one, tmp_path / "a.svg")
-    bode(one, tmp_path / "b.svg")
-    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+def test_the_same_table_gives_the_same_svg(one: Path, drawn: Path, tmp_path: Path) -> None:
+    bode(one, tmp_path / "again.svg")
+    assert (tmp_path / "again.svg").read_bytes() == (drawn / "bode.svg").read_bytes()
 
 
-def test_a_plot_names_device_frequencies_and_mirror(one: Path, tmp_path: Path) -> None:
-    bode(one, tmp_path / "bode.svg")
-    text = (tmp_path / "bode.svg").read_text(encoding="utf-8")
+def test_a_plot_names_device_frequencies_and_mirror(drawn: Path) -> None:
+    text = (drawn / "bode.svg").read_text(encoding="utf-8")
     for said in ("dpmsg-v1, p065: 0.65 MW, 1 pu", "f (Hz)", "mirror", "Magnitude (S)", "Phase (deg)", "not ok"):
         assert said in text
     assert "95 % interval" in text
