@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from ..support.commands import call, campaign, command, shards_of, slow_campaign, start, wait_for
+from ..support.commands import call, campaign, command, end_group, shards_of, slow_campaign, start, wait_for
 
 pytest.importorskip("distributed")
 
@@ -60,9 +60,12 @@ def test_a_scheduler_that_is_killed_ends_in_one_line_and_the_work_is_kept(tmp_pa
     file = slow_campaign(tmp_path)
     out = tmp_path / "y.parquet"
     runner = start("run", file, "-o", out, "--backend", "dask", "--scheduler", address)
-    wait_for(lambda: len(list(shards_of(out))) > 0, 60.0)
-    scheduler.send_signal(signal.SIGKILL)
-    _, said = runner.communicate(timeout=600)
+    try:
+        wait_for(lambda: len(list(shards_of(out))) > 0)
+        scheduler.send_signal(signal.SIGKILL)
+        _, said = runner.communicate(timeout=600)
+    finally:
+        end_group(runner)
     assert runner.returncode == 4, said
     assert "the dask scheduler" in said
     assert "Traceback" not in said
