@@ -93,7 +93,7 @@ def test_judge_takes_the_source_voltage_that_a_grid_s_file_says(files):
         (files / "two").mkdir(exist_ok=True)
         (files / "two" / f"{name}.toml").write_text(base + "[[element]]\nkind = 'source'\nscr = 10\nx_over_r = 12\n")
     asked = ("--power", "0.6", "--jobs", 1, "--json")
-    done = call("judge", files / "s.parquet", "--grids", files / "two", *asked)
+    done = command("judge", files / "s.parquet", "--grids", files / "two", *asked)
     assert done.returncode == 0, done.stderr + done.stdout
     high, low = sorted(json.loads(done.stdout), key=lambda row: row["grid_id"])
     assert (high["grid_id"], low["grid_id"]) == ("high.toml", "low.toml")
@@ -101,7 +101,7 @@ def test_judge_takes_the_source_voltage_that_a_grid_s_file_says(files):
 
 
 def test_the_worst_point_without_a_source_voltage_says_that_the_voltage_was_free(files):
-    done = call("tune", files / "s.parquet", "--worst", "--sweeps", 0, "--grid", "0.01+0.12j")
+    done = command("tune", files / "s.parquet", "--worst", "--sweeps", 0, "--grid", "0.01+0.12j")
     assert done.returncode == 0, done.stderr
     assert "|v| was searched over its range like the powers" in done.stdout
 
