@@ -1,7 +1,6 @@
 """Runs every command that the pages show, and writes what it printed into the pages: ``python docs/site/executed.py``.
 
-A page's ``console`` blocks are one session, from its top to its end, in a copy of what a clone has, in a terminal of 80
-columns::
+A page's ``console`` blocks are one session, from its top to its end, in a copy of what a clone has, through a pipe::
 
     ```console
     $ seqsweep run examples/table1.toml -o y.parquet
@@ -12,7 +11,8 @@ What is shown shortened (a line of three dots) stays shortened: a printed line i
 digits, was shown before, or if it is new where nothing was left out. Three remarks belong to a session that readers do
 not see: ``<!-- before: COMMAND -->`` runs a command without showing it, ``<!-- file: NAME -->`` writes the block below
 it to a file, and ``<!-- picture: NAME PLACE -->`` brings a picture into ``docs``. A command that fails ends the
-session, unless ``$ echo $?`` follows it. Lines of progress, which come by the clock, are not shown.
+session, unless ``$ echo $?`` follows it; so does a line of `seqsweep` that is wider than 80 columns, JSON excepted.
+Lines of progress, which come by the clock, are not shown.
 
 What a session printed is kept in ``build/docs`` until its page's commands or the program change.
 """
@@ -43,6 +43,9 @@ CLONE = ("examples", "data", "tests/support/boxes")
 
 MOST_S = 900.0
 """Wall time (s) that one command may take."""
+
+WIDTH = 80
+"""Columns that a line may take."""
 
 STEP = re.compile(
     r"<!-- before: (?P<before>.*?) -->"
@@ -104,8 +107,8 @@ class Session:
 
 def _environment() -> dict[str, str]:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    plain = {"COLUMNS": "80", "LINES": "40", "PATH": path, "NO_COLOR": "1", "TERM": "dumb", "PYTHONWARNINGS": ""}
-    return os.environ | plain
+    plain = {"PATH": path, "NO_COLOR": "1", "TERM": "dumb", "PYTHONWARNINGS": ""}
+    return {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")} | plain
 
 
 def pages() -> list[Path]:
@@ -172,7 +175,16 @@ def _said(session: Session, command: str, may_fail: bool) -> str:
     said = session.run(command)
     if session.status and not may_fail:
         raise SessionFailed(f"$ {command}\n{said}exit status {session.status}")
+    if wide := too_wide(command, said):
+        raise SessionFailed(f"$ {command}\n{wide[0]}\nis wider than {WIDTH} columns")
     return "".join(line for line in said.splitlines(keepends=True) if not PROGRESS.match(line))
+
+
+def too_wide(command: str, said: str) -> list[str]:
+    """Lines of our own commands that fit no terminal; a single word, such as a path, may be as long as it is."""
+    if not command.startswith("seqsweep ") or "--json" in command or "seqsweep man" in command:
+        return []
+    return [line for line in said.splitlines() if len(line) > WIDTH and len(line.split()) > 1]
 
 
 def kept_or_run(steps: Sequence[Step], program: str) -> tuple[list[str], Path]:

@@ -211,6 +211,14 @@ def test_a_session_keeps_its_folder_and_its_status(code, tmp_path):
     assert "nonsense" in second
 
 
+def test_a_line_that_fits_no_terminal_fails_the_page(code: None) -> None:
+    from executed import too_wide
+
+    wide = "a sentence that goes on and on, further than any terminal of eighty columns is wide, to its end"
+    assert too_wide("seqsweep show y.parquet", f"short\n{wide}\n{'/path' * 30}\n") == [wide]
+    assert too_wide("seqsweep show y.parquet --json", wide) == too_wide("cat grid.toml", wide) == []
+
+
 def test_a_command_that_fails_ends_the_session(code, tmp_path):
     from executed import SessionFailed, run_session
 

@@ -736,7 +736,7 @@ WRONG_CALLS = {
     "dq": (["export", "{table}", "-o", "{folder}/y.s2p", "--frame", "dq"], "no negative frequencies"),
     "z0": (["export", "{table}", "-o", "{folder}/y.s2p", "--z0", "-1"], "needed: a number above 0, in ohm"),
     "no file": (["import", "{folder}/none.csv", "-o", "{folder}/z.parquet"], "no such file"),
-    "folder": (["import", "{folder}", "-o", "{folder}/z.parquet", "--format", "csv"], "not a file"),
+    "folder": (["import", "{folder}", "-o", "{folder}/z.parquet", "--format", "csv"], "is a folder"),
 }
 
 
