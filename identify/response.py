@@ -111,6 +111,18 @@ class FrequencyResponse:
         return np.asarray((self.ok | noisy) & np.isfinite(self.y).all(axis=(1, 2)))
 
     @property
+    def why_lost(self) -> str:
+        """What most of the rows that are not usable have against them, such as "diverged: the PLL lost the grid"."""
+        lost = ~self.usable
+        statuses, counts = np.unique(np.asarray(self.status)[lost], return_counts=True)
+        if not len(statuses):
+            return ""
+        most = statuses[counts.argmax()]
+        told = np.asarray(self.reason)[lost & (np.asarray(self.status) == most)]
+        reason = next((str(text) for text in told if text), "")
+        return f"{most}: {reason}" if reason else str(most)
+
+    @property
     def f_mirror_hz(self) -> np.ndarray:
         """(n,) signed frequency 2 f1 - f of the second component (Hz); pn frame."""
         return 2.0 * self.f1_hz - self.f_hz

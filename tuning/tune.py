@@ -135,6 +135,7 @@ def fitted(response: FrequencyResponse) -> Device:
     usable = int(np.sum(response.usable))
     if usable < MIN_POINTS:
         problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
+        problem += f"; {response.why_lost}" if response.why_lost else ""
         return Device(response, problem=problem)
     rows = rows_of(to_dq(response))
     anchor, model = _anchored(rows, anchor_of(response.meta, rows, response.f1_hz), response.f1_hz)

@@ -25,6 +25,11 @@ LEAST_SWEEPS = 4
 _SPREAD = 1e-9  # an axis that varies by less, relatively, does not vary
 _BESIDE = 1e-9  # how far outside the region rounding may put a point
 
+_OUT_OF_HULL = (
+    "is outside of the convex hull of the listed operating points, though each value is within its range: a surrogate "
+    "says nothing there; sweep operating points about there"
+)
+
 
 class SurrogateError(SeqsweepError):
     """Sweeps that no surrogate can be built from, or a point where it has nothing to say, with the way out."""
@@ -32,7 +37,7 @@ class SurrogateError(SeqsweepError):
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """The box of swept operating points.
+    """The swept operating points: the box that they fill, or within it their convex hull.
 
     Attributes
     ----------
@@ -45,6 +50,7 @@ class Region:
     low: np.ndarray
     high: np.ndarray
     parameters: tuple[str, ...] = ()
+    hull: np.ndarray | None = None
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -57,9 +63,12 @@ class Region:
         return self.high - self.low > _SPREAD * np.maximum(np.abs(self.high), 1.0)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """(p,) bool: points (p, d) inside the box."""
+        """(p,) bool: points (p, d) inside."""
         room = _BESIDE * np.maximum(np.abs(self.high), 1.0)
-        return np.asarray(((points >= self.low - room) & (points <= self.high + room)).all(axis=1))
+        inside = ((points >= self.low - room) & (points <= self.high + room)).all(axis=1)
+        if self.hull is not None:
+            inside &= (points @ self.hull[:, :-1].T + self.hull[:, -1] <= _BESIDE).all(axis=1)
+        return np.asarray(inside)
 
     def check(self, points: np.ndarray) -> None:
         """Refuse the first of points (p, d) outside the region, by the axis that it leaves.
@@ -71,8 +80,10 @@ class Region:
         """
         outside = ~self.holds(points)
         if outside.any():
-            ends = zip(self.axes, points[outside.argmax()], self.low, self.high, strict=True)
-            raise SurrogateError(next(outside_text(*end) for end in ends if not end[2] <= end[1] <= end[3]))
+            first = points[outside.argmax()]
+            ends = zip(self.axes, first, self.low, self.high, strict=True)
+            beyond = (outside_text(*end) for end in ends if not end[2] <= end[1] <= end[3])
+            raise SurrogateError(next(beyond, f"{told(first, self.parameters)} {_OUT_OF_HULL}"))
 
     def samples(self, n: int) -> np.ndarray:
         """Points (n', d) that fill the box evenly, its corners among them; always the same."""
@@ -136,6 +147,24 @@ class Scale(NamedTuple):
     def unit(self, points: np.ndarray) -> np.ndarray:
         """(p, d') coordinates of operating points (p, d)."""
         return (_coordinates(points)[:, self.axes] - self.middle) / self.half
+
+
+def hulled(points: np.ndarray, region: Region) -> Region:
+    """The region within the convex hull of points (m, d); along one axis, or of points on a line, the box itself."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    axes = np.flatnonzero(region.varies)
+    if len(axes) < 2:
+        return region
+    size = (region.high - region.low)[axes]
+    try:
+        planes = ConvexHull((points[:, axes] - region.low[axes]) / size).equations
+    except QhullError:
+        return region
+    hull = np.zeros((len(planes), points.shape[1] + 1))
+    hull[:, axes] = planes[:, :-1] / size
+    hull[:, -1] = planes[:, -1] - hull[:, axes] @ region.low[axes]
+    return replace(region, hull=hull)
 
 
 def scale_of(points: np.ndarray, region: Region) -> Scale:

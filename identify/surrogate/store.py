@@ -10,14 +10,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..response import FrequencyResponse
 from ..table.read import Table, read_table
 from ..table.write import write_table
 from .jumps import Border, Cut
+from .region import LEAST_SWEEPS, Region, hulled, parameters_of, points_of
 from .sparse_rational import Shape
 from .surrogate import Chosen, Surrogate, SurrogateError, build_surrogate
 
 FAR = 10.0
 """In multiples of the rating: beyond, a power or a voltage is in another unit."""
+
+_NAMED = 4  # operating points that are named, of those that are left out
 
 
 def write_surrogate(path: str | Path, surrogate: Surrogate, table: Table) -> None:
@@ -56,7 +60,32 @@ def surrogate_of(table: Table) -> Surrogate:
     """
     _check_units(table)
     usable = [response for response in table.responses if response.usable.any()]
-    return build_surrogate(usable, chosen=_chosen(table.meta.get("surrogate")), bases=table.meta.get("bases"))
+    lost = left_out(table)
+    if len(usable) < LEAST_SWEEPS and lost:
+        raise SurrogateError(
+            f"{len(usable)} operating points have usable rows, a surrogate needs {LEAST_SWEEPS}; {lost}: sweep where "
+            "the device works"
+        )
+    chosen = _chosen(table.meta.get("surrogate"))
+    return build_surrogate(usable, chosen=chosen, region=_region_of(table, usable), bases=table.meta.get("bases"))
+
+
+def left_out(table: Table) -> str:
+    """Operating points that a surrogate does without, for lack of a usable row, and why; empty where there are none."""
+    lost = [response for response in table.responses if not response.usable.any()]
+    if not lost:
+        return ""
+    names = ", ".join(str(response.meta.get("op_id")) for response in lost[:_NAMED])
+    more = f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+    return f"{names}{more} without a usable row ({lost[0].why_lost})"
+
+
+def _region_of(table: Table, usable: Sequence[FrequencyResponse]) -> Region:
+    """The box that a campaign chose its points in, or the convex hull of points that were listed."""
+    parameters = parameters_of(usable)
+    points = points_of(usable, parameters)
+    box = Region(points.min(axis=0), points.max(axis=0), parameters)
+    return box if "region" in table.meta else hulled(points, box)
 
 
 def _check_units(table: Table) -> None:
@@ -64,10 +93,12 @@ def _check_units(table: Table) -> None:
     rated_mva = (table.meta.get("bases") or {}).get("rated_power_va", 0.0) / 1e6
     for response in table.responses:
         name = response.meta.get("op_id")
-        power, voltage = response.meta.get("active_power_mw"), response.meta.get("terminal_voltage_pu")
-        if rated_mva and power and abs(power) > FAR * rated_mva:
-            raise SurrogateError(f"{name}: active_power_mw = {power:g} on a device of {rated_mva:g} MVA: is it in kW?")
-        if voltage and not 1.0 / FAR < voltage < FAR:
+        for axis, unit in (("active_power_mw", "kW"), ("reactive_power_mvar", "kvar")):
+            power = response.meta.get(axis)
+            if rated_mva and power and abs(power) > FAR * rated_mva:
+                raise SurrogateError(f"{name}: {axis} = {power:g} on a device of {rated_mva:g} MVA: is it in {unit}?")
+        voltage = response.meta.get("terminal_voltage_pu")
+        if voltage is not None and not 1.0 / FAR < voltage < FAR:
             raise SurrogateError(f"{name}: terminal_voltage_pu = {voltage:g}: is it in V? Per unit is of the rating")
 
 

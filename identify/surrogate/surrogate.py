@@ -18,6 +18,7 @@ import numpy as np
 from ..fit.dq_data import to_dq
 from ..frames import dq_to_pn
 from ..response import FrequencyResponse
+from .between import between
 from .certainty import Certainty, certainty, relative_error
 from .index_sets import Index
 from .jumps import Border, find_border
@@ -155,7 +156,12 @@ class Surrogate:
         point : (d,) float
             P (MW), Q (Mvar), |v| (pu), and the values of parameters that are axes.
         f_hz : (n,) float or None
-            Frequencies among the model's own and their mirrors; None: the model's, above f1.
+            Frequencies (Hz) on either side of f1, between the model's own by interpolation; None: its own, above f1.
+
+        Raises
+        ------
+        SurrogateError
+            If the point is outside the region, or a frequency outside of the swept rows.
 
         Notes
         -----
@@ -164,9 +170,9 @@ class Surrogate:
         """
         found = self.evaluate(np.atleast_2d(np.asarray(point, dtype=float)))
         f = self.f1_hz + self.nu_hz if f_hz is None else np.asarray(f_hz, dtype=float)
-        at = self._rows(f)
-        y = np.where((f < self.f1_hz)[:, None, None], found.y[0, at].conj(), found.y[0, at])
-        variance = CORRELATED * (found.radius[0, at] / _RADIUS) ** 2 / (2.0 * ELEMENTS)
+        told, radius = self._at(np.abs(f - self.f1_hz), found)
+        y = np.where((f < self.f1_hz)[:, None, None], told.conj(), told)
+        variance = CORRELATED * (radius / _RADIUS) ** 2 / (2.0 * ELEMENTS)
         covariance = variance[:, None, None] * np.eye(2 * ELEMENTS)
         whole = self.region.complete(np.asarray(point))[0]
         meta = {**facts_of(whole, self.region.parameters), "surrogate": True}
@@ -219,6 +225,13 @@ class Surrogate:
         """
         return replace(self, region=self.region.fixed(values)) if values else self
 
+    @property
+    def contradiction(self) -> float:
+        """By how much left-out sweeps are missed, relative to ||Y||, where they are too many for that; else zero."""
+        enough = len(self.points) >= 2 * len(self.pieces) * (len(self.scale.axes) + 2)
+        missed = max(piece.models[0].score for piece in self.pieces)
+        return missed if enough and missed > CONTRADICTS else 0.0
+
     def check_inside(self, point: Sequence[float], name: str) -> None:
         """Refuse an operating point outside the region, in the name of what asked for it."""
         try:
@@ -238,17 +251,21 @@ class Surrogate:
                 f"the device changes between {self.border}: nothing is interpolated across that; sweep in between"
             )
 
-    def _rows(self, f_hz: np.ndarray) -> np.ndarray:
-        nu = np.abs(f_hz - self.f1_hz)
-        at = np.abs(self.nu_hz[None] - nu[:, None]).argmin(axis=1)
-        off = np.abs(self.nu_hz[at] - nu) > _SAME * nu
+    def _at(self, nu_hz: np.ndarray, found: Evaluation) -> tuple[np.ndarray, np.ndarray]:
+        """Y (n, 2, 2) and its radius (n,) of one evaluated point at |f - f1| (n,): of a row, or between rows."""
+        at = np.abs(self.nu_hz[None] - nu_hz[:, None]).argmin(axis=1)
+        y, radius = found.y[0, at], found.radius[0, at]
+        off = np.abs(self.nu_hz[at] - nu_hz) > _SAME * nu_hz
         if np.any(off):
-            raise SurrogateError(f"{f_hz[off][0]:g} Hz is no frequency of the table; interpolate the response instead")
-        return at
+            y[off], radius[off] = between(self.nu_hz, found.y[0], found.radius[0], nu_hz[off])
+        return y, radius
 
     def _facts(self) -> dict[str, Any]:
         return {"stable_on": self.meta["stable_on"]} if self.meta.get("stable_on") else {}
 
+
+CONTRADICTS = 0.1
+"""Sweeps that are missed by more when left out do not belong to one device that changes smoothly."""
 
 CORRELATED = 7.0
 """Neighbouring rows whose model error is one and the same."""

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ...identify.response import FrequencyResponse
 from ...identify.surrogate.surrogate import Surrogate
 from ...plant.errors import SeqsweepError
@@ -63,5 +65,5 @@ class Following:
 
     def _nowhere(self, op: int) -> FrequencyResponse:
         """A response that carries the dispatch's name and nothing to judge."""
-        response = self.surrogate.response(self.surrogate.samples(2)[0])
-        return FrequencyResponse(response.f_hz, response.y, response.f1_hz, meta={"op_id": self.names[op]})
+        f_hz = self.f1_hz + self.surrogate.nu_hz
+        return FrequencyResponse(f_hz, np.zeros((len(f_hz), 2, 2), complex), self.f1_hz, meta={"op_id": self.names[op]})

@@ -39,6 +39,7 @@ def surrogate(
     force: Force = False,
 ) -> None:
     """Y at any operating point between the swept ones, how sure it is, and the worst point on a grid."""
+    from ...identify.surrogate.store import left_out
     from ...identify.table.read import read_table
 
     if source_voltage is not None and grid is None:
@@ -50,7 +51,8 @@ def surrogate(
     asked = [_line(model, point) for point in points]  # a point outside is refused before anything is searched
     worst = None if grid is None else _worst(model, grid, source_voltage)
     of_worst = [] if worst is None else _worst_lines(model, worst, source_voltage)
-    result("\n".join([_summary(model), *of_worst, *asked]), lambda: _values(model, points, worst))
+    doubts = _doubts(model, left_out(content))
+    result("\n".join([_summary(model), *doubts, *of_worst, *asked]), lambda: _values(model, points, worst))
     if output is not None:
         _write(model, content, points, output)
     if plot is not None:
@@ -89,6 +91,18 @@ def _summary(model: Surrogate) -> str:
         f"model: {len(shape.numerator)} products over {1 + len(shape.denominator)}\n"
         f"95 % radius of Y, relative: at most {bar:.2g}, at {told(where, model.region.parameters)}{jump}"
     )
+
+
+def _doubts(model: Surrogate, lost: str) -> list[str]:
+    """What speaks against the surrogate: sweeps that do not belong together, operating points that it does without."""
+    lines = [f"left out: {lost}"] if lost else []
+    if model.contradiction:
+        lines.append(
+            f"The sweeps contradict each other: left out, one is missed by {100.0 * model.contradiction:.0f} % of Y. "
+            "Two devices in one table, a device that changes by something else than its operating point, or far too "
+            "few sweeps; nothing here can be relied on."
+        )
+    return lines
 
 
 def _line(model: Surrogate, point: np.ndarray) -> str:

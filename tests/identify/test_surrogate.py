@@ -8,12 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.surrogate.design import first_points, next_point
 from seqsweep.identify.surrogate.index_sets import border, chebyshev_products
+from seqsweep.identify.surrogate.region import hulled
 from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape, predict
-from seqsweep.identify.surrogate.store import read_surrogate, surrogate_of, write_surrogate
+from seqsweep.identify.surrogate.store import left_out, read_surrogate, surrogate_of, write_surrogate
 from seqsweep.identify.surrogate.surrogate import AXES, Region, SurrogateError, build_surrogate, name_of
 from seqsweep.identify.table.read import Table, read_table
 from seqsweep.identify.table.write import write_table
@@ -134,10 +136,36 @@ def test_a_point_outside_is_refused_by_its_axis():
         surrogate.evaluate(np.array([1.4, 0.0, 1.0]))
 
 
-def test_a_frequency_that_was_not_swept_is_refused():
-    surrogate = build_surrogate(swept(first_points(REGION, 1)), region=REGION)
-    with pytest.raises(SurrogateError, match=r"77\.7 Hz is no frequency of the table"):
-        surrogate.response([0.6, 0.0, 1.0], np.array([77.7]))
+def test_between_the_rows_the_region_holds_the_truth():
+    """At 200 frequencies on both sides of f1, and nothing beyond the rows."""
+    surrogate = build_surrogate(swept(np.vstack([first_points(REGION, 1), unseen(6, 2)])), region=REGION)
+    random = np.random.default_rng(6)
+    nu = np.exp(random.uniform(np.log(surrogate.nu_hz[0]), np.log(surrogate.nu_hz[-1]), 200))
+    f_hz = 50.0 + nu * random.choice([-1.0, 1.0], 200)
+    f_hz = np.sort(f_hz)
+    told = surrogate.response([0.6, 0.0, 1.0], f_hz)
+    truth = oracle.admittance_pn(f_hz, 0.6e6, 690.0)
+    off = np.linalg.norm(told.y - truth, axis=(1, 2))
+    radius = 1.392 * np.sqrt(np.einsum("nii->n", np.asarray(told.covariance)) / 7.0)
+    assert np.mean(off <= radius) > 0.95
+    assert (off / np.linalg.norm(truth, axis=(1, 2))).max() < 0.05
+    with pytest.raises(SurrogateError, match=r"\|f - f1\| = 2000 Hz lies outside of the swept rows"):
+        surrogate.response([0.6, 0.0, 1.0], np.array([2050.0]))
+
+
+def test_listed_points_speak_within_their_hull_and_a_box_does_throughout():
+    points = np.vstack([first_points(REGION, 1), unseen(6, 2)])
+    box = Region(points.min(axis=0), points.max(axis=0))
+    hull = hulled(points, box)
+    at = box.low + np.random.default_rng(3).random((400, 3)) * (box.high - box.low)
+    inside = Delaunay(points[:, [0, 2]]).find_simplex(at[:, [0, 2]]) >= 0
+    assert 0.3 < inside.mean() < 0.95
+    np.testing.assert_array_equal(hull.holds(at), inside)
+    assert box.holds(at).all()
+    assert hull.holds(points).all()
+    surrogate = build_surrogate(swept(points), region=hull)
+    with pytest.raises(SurrogateError, match="outside of the convex hull of the listed operating points"):
+        surrogate.evaluate(at[~inside])
 
 
 BAD = {
@@ -156,15 +184,41 @@ def test_sweeps_that_say_too_little_are_refused(made, words):
         build_surrogate(made())
 
 
-@pytest.mark.parametrize(("axis", "factor", "words"), [(0, 1000.0, "is it in kW"), (2, 690.0, "is it in V")])
+@pytest.mark.parametrize(
+    ("axis", "factor", "words"),
+    [(0, 1000.0, "is it in kW"), (1, 1000.0, "is it in kvar"), (2, 690.0, "is it in V"), (2, 0.0, "is it in V")],
+)
 def test_operating_points_in_other_units_are_refused(axis, factor, words):
     responses = [
-        replace(response, meta={**response.meta, AXES[axis]: factor * response.meta[AXES[axis]]})
+        replace(response, meta={**response.meta, AXES[axis]: factor * (response.meta[AXES[axis]] or 0.3)})
         for response in swept(first_points(REGION, 1))
     ]
     table = SimpleNamespace(responses=responses, meta={"bases": {"rated_power_va": 1.632e6}})
     with pytest.raises(SurrogateError, match=words):
         surrogate_of(table)
+
+
+def test_operating_points_without_a_usable_row_are_told_with_their_reason():
+    responses = swept(first_points(REGION, 1))
+    status, reason = np.full(len(F_HZ), "diverged"), np.full(len(F_HZ), "no steady state")
+    for k in range(4):
+        bad = FrequencyResponse(F_HZ, responses[k].y, 50.0, status=status, reason=reason, meta=responses[k].meta)
+        responses[k] = bad
+        table = SimpleNamespace(responses=responses, meta={})
+        assert left_out(table).endswith("without a usable row (diverged: no steady state)")
+    with pytest.raises(
+        SurrogateError, match=r"2 operating points have usable rows, a surrogate needs 4; p0.2.*no steady"
+    ):
+        surrogate_of(table)
+    assert left_out(SimpleNamespace(responses=swept(first_points(REGION, 1)), meta={})) == ""
+
+
+def test_two_devices_in_one_table_contradict_each_other():
+    points = np.vstack([first_points(REGION, 1), unseen(8, 2)])
+    one = swept(points)
+    assert build_surrogate(one, region=REGION).contradiction == 0.0
+    other = [replace(r, y=r.y * (1.6 - 0.4j)) if k % 2 else r for k, r in enumerate(one)]
+    assert build_surrogate(other, region=REGION).contradiction > 0.1
 
 
 def test_a_bad_row_in_the_middle_costs_its_own_row():
@@ -196,5 +250,6 @@ def test_a_surrogate_is_read_back_as_it_was_written(tmp_path):
     again = read_surrogate(tmp_path / "s.parquet")
     at = unseen(5, 9)
     at[:, 2] = np.clip(at[:, 2], made.region.low[2], made.region.high[2])
+    at = at[again.holds(at)]
     np.testing.assert_array_equal(again.evaluate(at).y, made.evaluate(at).y)
     np.testing.assert_array_equal(again.evaluate(at).radius, made.evaluate(at).radius)

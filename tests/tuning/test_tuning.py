@@ -161,11 +161,13 @@ def test_noisy_rows_count_for_what_their_covariance_says() -> None:
 
 def test_operating_point_without_usable_rows_is_undecided_not_guessed() -> None:
     status = np.full(len(F_HZ), "not_settled")
-    response = FrequencyResponse(F_HZ, np.full((100, 2, 2), np.nan), F1_HZ, status=status, meta={"op_id": "a"})
+    reason = np.full(len(F_HZ), "the PLL lost the grid")
+    lost = np.full((100, 2, 2), np.nan)
+    response = FrequencyResponse(F_HZ, lost, F1_HZ, status=status, reason=reason, meta={"op_id": "a"})
     result = tune([response], GRID)
     point = result.points[0]
     assert (point.verdict, point.probability, point.k, point.margin_m) == ("undecided", None, None, None)
-    assert point.reason == "0 of 100 rows are usable, at least 8 are needed"
+    assert point.reason == "0 of 100 rows are usable, at least 8 are needed; not_settled: the PLL lost the grid"
     jsonschema.validate(to_json(result), schema())
     assert "undecided, 0 of 100 rows are usable" in format_table(result)
 
