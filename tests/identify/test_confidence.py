@@ -204,8 +204,8 @@ def test_intervals_cover_in_2000_trials(estimated: bool) -> None:
 
 
 def test_intervals_cover_in_a_few_trials() -> None:
-    """Some 60 trials leave 3 % of doubt on a coverage; three times that is allowed."""
-    found = [*coverage(4, 8, 3, estimated=False).values(), *coverage(4, 8, 4, estimated=True).values()]
+    """Some 45 trials leave 3 % of doubt on a coverage; three times that is allowed."""
+    found = [*coverage(4, 6, 3, estimated=False).values(), *coverage(4, 6, 4, estimated=True).values()]
     trials = [t for decade in found for t in decade]
     assert len(trials) >= 40
     for key in Covered._fields:
@@ -341,13 +341,13 @@ def test_undecided_verdict_says_what_would_decide() -> None:
 
 
 def test_margin_s_standard_error_is_the_spread_of_many_tables() -> None:
-    """60 tables leave 9 % of doubt on a standard deviation."""
+    """40 tables leave 11 % of doubt on a standard deviation."""
     at = device()
     assert at is not None
     grid = at.edge.scaled(0.97)
     rng = np.random.default_rng(8)
     found = []
-    for _ in range(60):
+    for _ in range(40):
         model = fit_response(table(at.y, 1e-2, rng, colour="pink"))
         crossing = judge(model, grid).critical
         assert crossing is not None

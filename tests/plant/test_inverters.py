@@ -332,15 +332,14 @@ def test_kernels_are_vector_code():
     """LLVM gives up vectors silently: ymm or zmm registers in the code, and hardly a scalar product."""
     from numba import njit
 
-    for name, p in (("forming", FormingParameters()), ("following", FollowingParameters())):
-        for suffix in ("", "_linked_compensated"):
-            advance = njit(nogil=True, fastmath=kernel._FAST, error_model="numpy")(
-                getattr(kernel, f"advance_{name}{suffix}").py_func
-            )
-            x = np.zeros(kernel.array_slots(1) * kernel.LANES)
-            advance(np.zeros((0, 2, kernel.LANES)), x, 1, p, 25e-6, 1, kernel.SUM_V, np.empty((1, 8, kernel.LANES)))
-            (code,) = advance.inspect_asm().values()
-            vector = code.count("zmm") + code.count("ymm")
-            scalar = sum(code.count(word) for word in ("vmulsd", "vaddsd", "vfmadd213sd", "vfmadd231sd"))
-            assert vector > 1000
-            assert scalar < 0.1 * vector
+    for name, p in (("forming", FormingParameters()), ("following_linked_compensated", FollowingParameters())):
+        advance = njit(nogil=True, fastmath=kernel._FAST, error_model="numpy")(
+            getattr(kernel, f"advance_{name}").py_func
+        )
+        x = np.zeros(kernel.array_slots(1) * kernel.LANES)
+        advance(np.zeros((0, 2, kernel.LANES)), x, 1, p, 25e-6, 1, kernel.SUM_V, np.empty((1, 8, kernel.LANES)))
+        (code,) = advance.inspect_asm().values()
+        vector = code.count("zmm") + code.count("ymm")
+        scalar = sum(code.count(word) for word in ("vmulsd", "vaddsd", "vfmadd213sd", "vfmadd231sd"))
+        assert vector > 1000
+        assert scalar < 0.1 * vector
