@@ -1,6 +1,6 @@
 """The paper's wind farm in time: its four scenarios, its control beside a GSDC, the aggregate beside all turbines.
 
-    python examples/paper/farm_in_time.py
+    python examples/paper/farm_in_time.py [--jobs 2]
 
 simulates the farm of farm.toml with parameter set B, every turbine by itself with its own estimator and control, draws
 docs/figures/paper-farm-*.png and writes the farm's second table into docs/paper.md. About four minutes of CPU.
@@ -9,106 +9,143 @@ docs/figures/paper-farm-*.png and writes the farm's second table into docs/paper
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import farm_pictures
+import numpy as np
 from comparison import rewrite
 from farm import ARDC_K, DOCS, HERE, Row, _unused, aggregated, swept, with_collector
 
-from seqsweep.sweep.verify.farm_runs import FarmRun, FarmVerification, verify_farm
+from seqsweep.sweep.verify.farm_runs import FarmRun, verify_farm
 from seqsweep.sweep.verify.farm_story import FarmFault, FarmStory, FarmSwitch, SourceStep
-from seqsweep.sweep.verify.reading import RunReport
 from seqsweep.tuning.farm.units import Library
 
 BEGIN = "<!-- written by examples/paper/farm_in_time.py: begin -->"
 END = "<!-- written by examples/paper/farm_in_time.py: end -->"
 STEP_S = 0.1
 ON_S = 0.28
+LOOK_S = 0.6
 SCALES = (1.1, 1.25, 1.375, 1.5)
 MORE = (9, 11, 13)
 SHARES = (0.05, 0.10, 0.20, 0.50)
-COMPARED = (1.25, 1.375, 1.5, 1.625)
+COMPARED = (1.375, 1.5, 1.625)
 FAULTS = ("a-b-c", "a-g", "b-c", "b-c-g")
 POWER_MW = 0.49
 WITH_COLLECTOR_MW = 0.28 * 1.632
 
 
+Runs = tuple[FarmRun, ...]
+Task = Callable[[], Runs]
+
+
 class Results(NamedTuple):
     """What is drawn and tabled: runs by scenario, by SCR and control, with cables, by fault."""
 
-    scenarios: dict[str, FarmVerification]
+    scenarios: dict[str, Runs]
     compared: dict[float, dict[str, FarmRun]]
-    cabled: dict[str, FarmVerification]
-    faults: dict[str, FarmRun]
+    cabled: dict[str, Runs]
+    faults: dict[str, Runs]
 
 
-def results(library: Library) -> Results:
+class Cases:
+    """What is simulated, for how long, and with the tables of which turbine."""
+
+    def __init__(self, library: Library, duration_s: float):
+        self.library, self.duration_s = library, duration_s
+        self.document = tomllib.loads((HERE / "farm.toml").read_text("utf-8"))
+
+    def scenarios(self) -> dict[str, Task]:
+        """Scenarios 1 to 3: a weaker grid, more turbines; all turbines by themselves, and the aggregate."""
+        found: dict[str, Task] = {}
+        for scale in SCALES:
+            found[f"{scale:g} Z"] = lambda scale=scale: self.weaker(first(self.document, 8), scale)
+        for n in MORE:
+            found[f"{n} turbines"] = lambda n=n: self.more(first(self.document, n), n)
+        return found
+
+    def cabled(self) -> dict[str, Task]:
+        """The farm with its collector at 0.28 pu."""
+        document = with_collector(self.document, WITH_COLLECTOR_MW)
+        return {
+            "1.375 Z": lambda: self.weaker(first(document, 8), 1.375),
+            "11 turbines": lambda: self.more(first(document, 11), 11),
+        }
+
+    def faults(self) -> dict[str, Task]:
+        """Scenario 4: 40 ms of every kind at the connection, SCR 1.8, the turbines' control armed."""
+        return {kind: lambda kind=kind: self.fault(kind) for kind in FAULTS}
+
+    def compared(self) -> dict[str, Task]:
+        """Grid-side dampers of several sizes and the turbines' own control, all switched on at 0.28 s.
+
+        Eight equal turbines on a star move as one: one stands for them here.
+        """
+        one = aggregated(self.document, POWER_MW)
+        one["device"] = [{**one["device"][0], "count": 8}]
+        by_hand: dict[str, Any] = {"on_from_s": ON_S, "aggregate": False}
+        found: dict[str, Task] = {}
+        for scale in COMPARED:
+            found[f"{scale:g} ARDC"] = lambda scale=scale: self.weaker(one, scale, **by_hand)
+            for share in SHARES:
+                damped = {**one, "damper": [{"name": "gsdc", "bus": "pcc", "share": share}]}
+                found[f"{scale:g} GSDC {100.0 * share:g} %"] = lambda scale=scale, damped=damped: self.weaker(
+                    damped, scale, 0.0, **by_hand
+                )
+        return found
+
+    def weaker(self, document: dict[str, Any], scale: float, k: float = ARDC_K, **others: Any) -> Runs:
+        """The grid's impedance grows at 0.1 s. Control is set for the farm after the step."""
+        story = FarmStory(self.duration_s, 1.0 / scale, k=k, events=(SourceStep(STEP_S, 1.0),), **others)
+        return verify_farm(scaled(document, scale), self.library, story).runs
+
+    def more(self, document: dict[str, Any], n: int) -> Runs:
+        """Eight turbines become n at 0.1 s."""
+        cables = tuple(f"c{k}" for k in range(9, n + 1)) if "cable" in document else ()
+        event = FarmSwitch(STEP_S, (*(f"wt{k}" for k in range(9, n + 1)), *cables), True)
+        story = FarmStory(self.duration_s, out=event.names, k=ARDC_K, events=(event,))
+        return verify_farm(document, self.library, story).runs
+
+    def fault(self, kind: str) -> Runs:
+        """One fault of 40 ms through 5 % of the grid's impedance."""
+        event = FarmFault(STEP_S, 0.04, "pcc", kind, 0.05 * 40.5)
+        story = FarmStory(min(1.0, self.duration_s), k=ARDC_K, aggregate=False, events=(event,))
+        return verify_farm(first(self.document, 8), self.library, story).runs
+
+
+_tasks: dict[tuple[str, str], Task] = {}
+
+
+def results(library: Library, duration_s: float, jobs: int) -> Results:
     """Simulate everything."""
-    document = tomllib.loads((HERE / "farm.toml").read_text("utf-8"))
-    return Results(
-        scenarios(document, library), compared(document, library), cabled(library), faults(document, library)
-    )
+    cases = Cases(library, duration_s)
+    for group in ("scenarios", "compared", "cabled", "faults"):
+        _tasks.update({(group, name): task for name, task in getattr(cases, group)().items()})
+    found: dict[str, dict[str, Runs]] = {}
+    with multiprocessing.get_context("fork").Pool(jobs) as pool:  # children have the tasks, and hand back runs
+        for (group, name), runs in zip(_tasks, pool.imap(_done, _tasks), strict=True):
+            print(f"{group}: {name}", file=sys.stderr)
+            found.setdefault(group, {})[name] = runs
+    return Results(found["scenarios"], _by_grid(found["compared"]), found["cabled"], found["faults"])
 
 
-def scenarios(document: dict[str, Any], library: Library) -> dict[str, FarmVerification]:
-    """Scenarios 1 to 3: a weaker grid, more turbines; all turbines by themselves, and the aggregate."""
-    found = {f"{scale:g} Z": weaker(first(document, 8), scale, library) for scale in SCALES}
-    return found | {f"{n} turbines": more(first(document, n), n, library) for n in MORE}
+def _done(name: tuple[str, str]) -> Runs:
+    return _tasks[name]()
 
 
-def weaker(
-    document: dict[str, Any], scale: float, library: Library, k: float = ARDC_K, **others: Any
-) -> FarmVerification:
-    """The grid's impedance grows at 0.1 s. Control is set for the farm after the step."""
-    story = FarmStory(1.5, 1.0 / scale, k=k, events=(SourceStep(STEP_S, 1.0),), **others)
-    return verify_farm(scaled(document, scale), library, story)
-
-
-def more(document: dict[str, Any], n: int, library: Library, **others: Any) -> FarmVerification:
-    """Eight turbines become n at 0.1 s."""
-    new = tuple(f"wt{k}" for k in range(9, n + 1))
-    cables = tuple(f"c{k}" for k in range(9, n + 1)) if "cable" in document else ()
-    event = FarmSwitch(STEP_S, (*new, *cables), True)
-    return verify_farm(document, library, FarmStory(1.5, out=event.names, k=ARDC_K, events=(event,), **others))
-
-
-def compared(document: dict[str, Any], library: Library) -> dict[float, dict[str, FarmRun]]:
-    """Grid-side dampers of several sizes and the turbines' own control, all switched on at 0.28 s.
-
-    Eight equal turbines on a star move as one: one stands for them here.
-    """
-    one = aggregated(document, POWER_MW)
-    one["device"] = [{**one["device"][0], "count": 8}]
-    found = {}
+def _by_grid(runs: dict[str, Runs]) -> dict[float, dict[str, FarmRun]]:
+    """Runs of one grid together: without damping, with dampers, with the turbines' own control."""
+    found: dict[float, dict[str, FarmRun]] = {}
     for scale in COMPARED:
-        ardc = weaker(one, scale, library, on_from_s=ON_S, aggregate=False)
-        found[scale] = {"none": ardc.runs[0]}
-        for share in SHARES:
-            damped = {**one, "damper": [{"name": "gsdc", "bus": "pcc", "share": share}]}
-            run = weaker(damped, scale, library, 0.0, on_from_s=ON_S, aggregate=False).runs[1]
-            found[scale][f"GSDC {100.0 * share:g} %"] = run
-        found[scale]["ARDC"] = ardc.runs[1]
+        ardc = runs[f"{scale:g} ARDC"]
+        sizes = [f"GSDC {100.0 * share:g} %" for share in SHARES]
+        damped = {name: runs[f"{scale:g} {name}"][1] for name in sizes}
+        found[scale] = {"none": ardc[0], **damped, "ARDC": ardc[1]}
     return found
-
-
-def cabled(library: Library) -> dict[str, FarmVerification]:
-    """The farm with its collector at 0.28 pu."""
-    document = with_collector(tomllib.loads((HERE / "farm.toml").read_text("utf-8")), WITH_COLLECTOR_MW)
-    eight = weaker(first(document, 8), 1.375, library)
-    return {"1.375 Z": eight, "11 turbines": more(first(document, 11), 11, library)}
-
-
-def faults(document: dict[str, Any], library: Library) -> dict[str, FarmRun]:
-    """Scenario 4: 40 ms of every kind at the connection, SCR 1.8, the turbines' control armed."""
-    farm = first(document, 8)
-    r_ohm = 0.05 * 40.5
-    stories = {
-        kind: FarmStory(1.0, k=ARDC_K, aggregate=False, events=(FarmFault(STEP_S, 0.04, "pcc", kind, r_ohm),))
-        for kind in FAULTS
-    }
-    return {kind: verify_farm(farm, library, story).runs[1] for kind, story in stories.items()}
 
 
 def first(document: dict[str, Any], n: int) -> dict[str, Any]:
@@ -144,7 +181,7 @@ PAPER = {
 
 def rows(found: Results) -> list[Row]:
     """Paper, ours, why."""
-    table = [_scenario(name, verified) for name, verified in found.scenarios.items()]
+    table = [_scenario(name, runs) for name, runs in found.scenarios.items()]
     table += [_comparison(scale, runs) for scale, runs in found.compared.items()]
     table.append(_aggregate("farm and aggregate, no cables", found.scenarios, "one"))
     table.append(
@@ -154,19 +191,21 @@ def rows(found: Results) -> list[Row]:
     return table
 
 
-def _scenario(name: str, verified: FarmVerification) -> Row:
-    without, damped = verified.runs[:2]
-    said = f"without: {_told(without.line)}; k = {ARDC_K:g}: {_told(damped.line)}{_started(damped)}"
+def _scenario(name: str, runs: Runs) -> Row:
+    without, damped = runs[:2]
+    said = f"without: {_told(without)}; k = {ARDC_K:g}: {_told(damped)}{_started(damped)}"
     paper = PAPER[name]
     why = "no limit cycle here: synchronism is lost" if without.line.lost_s is not None else ""
     return f"{name}, in time", paper, said, why
 
 
-def _told(line: RunReport) -> str:
-    """A line's end in words: lost, or r at its last."""
-    if line.lost_s is not None:
-        return f"synchronism lost at {line.lost_s:.2f} s"
-    return f"r {100.0 * line.largest_ratio:.1f} % at most, {_percent(line.last_ratio)} at the end"
+def _told(run: FarmRun) -> str:
+    """The line's end in words: lost, or r half a second after the event and at the end."""
+    if run.line.lost_s is not None:
+        return f"synchronism lost at {run.line.lost_s:.2f} s"
+    line = run.trajectory.line
+    later = float(line.ratio[min(np.searchsorted(line.decision_s, LOOK_S), len(line.ratio) - 1)])
+    return f"r {_percent(later)} at {LOOK_S:g} s, {_percent(run.line.last_ratio)} at the end"
 
 
 def _percent(ratio: float) -> str:
@@ -190,11 +229,11 @@ def _kept(run: FarmRun) -> str:
     return f"kept, r {_percent(run.line.last_ratio)} at the end"
 
 
-def _aggregate(subject: str, found: dict[str, FarmVerification], what: str) -> Row:
+def _aggregate(subject: str, found: dict[str, Runs], what: str) -> Row:
     pairs = []
-    for name, verified in found.items():
-        alone = [run for run in verified.runs if run.title == "aggregate without damping"]
-        pairs.append(f"{name}: {_end(verified.runs[0])} and {_end(alone[0])}")
+    for name, runs in found.items():
+        alone = [run for run in runs if run.title == "aggregate without damping"]
+        pairs.append(f"{name}: {_end(runs[0])} and {_end(alone[0])}")
     return subject, "one aggregate", "; ".join(pairs), f"the aggregate meets {what}"
 
 
@@ -205,8 +244,8 @@ def _end(run: FarmRun) -> str:
     return "r " + _percent(run.line.last_ratio) if rate is None else f"{rate:+.2f} 1/s"
 
 
-def _faults(found: dict[str, FarmRun]) -> Row:
-    said = "; ".join(f"{kind}: {_fault(run)}" for kind, run in found.items())
+def _faults(found: dict[str, Runs]) -> Row:
+    said = "; ".join(f"{kind}: {_fault(runs[1])}" for kind, runs in found.items())
     paper = "no false start; 1.7 % after 106 ms"
     return (
         "40 ms faults at the connection, 8 turbines",
@@ -218,7 +257,9 @@ def _faults(found: dict[str, FarmRun]) -> Row:
 
 def _fault(run: FarmRun) -> str:
     starts = sum(bool(device.started_s) for device in run.devices)
-    calm = "lost" if run.line.calm_s is None else f"r below 3 % from {run.line.calm_s:.2f} s"
+    calm = "not calm to the end" if run.line.calm_s is None else f"r below 3 % from {run.line.calm_s:.2f} s"
+    if run.line.lost_s is not None:
+        calm = f"synchronism lost at {run.line.lost_s:.2f} s"
     return f"{calm}, {starts or 'no'} start{'s' if starts > 1 else ''}"
 
 
@@ -226,13 +267,15 @@ def main() -> None:
     """Simulate, draw, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder with paper.md and figures/")
-    docs = parser.parse_args().docs
-    found = results(swept())
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--duration", type=float, default=1.2, help="simulated time of a run (s); less is a trial")
+    asked = parser.parse_args()
+    found = results(swept(), asked.duration, asked.jobs)
     lines = ["| | paper | ours | why different |", "|---|---|---|---|"]
     lines += ["| " + " | ".join(row) + " |" for row in rows(found)]
     print("\n".join(lines))
-    rewrite(docs / "paper.md", "\n".join(lines), BEGIN, END)
-    farm_pictures.draw_all(docs / "figures", found.scenarios, found.compared)
+    rewrite(asked.docs / "paper.md", "\n".join(lines), BEGIN, END)
+    farm_pictures.draw_all(asked.docs / "figures", found.scenarios, found.compared)
 
 
 if __name__ == "__main__":

@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 from pictures import _RC, _WIDTH
 
 from seqsweep.plant.damping.events import Trajectory
-from seqsweep.sweep.verify.farm_runs import FarmRun, FarmVerification
+from seqsweep.sweep.verify.farm_runs import FarmRun
 
 _WITHOUT: dict[str, Any] = {"color": "#f2a35c", "lw": 1.0, "zorder": 2}
 _WITH: dict[str, Any] = {"color": "#08306b", "lw": 0.8, "zorder": 3}
 _SHOWN = ("1.1 Z", "1.25 Z", "1.375 Z", "1.5 Z", "13 turbines")
 _TURBINE = ("1.375 Z", "13 turbines")
 
+Runs = tuple[FarmRun, ...]
 Quantity = tuple[str, Callable[[Trajectory], np.ndarray]]
 
 _LINE: tuple[Quantity, ...] = (
@@ -37,7 +38,7 @@ _DEVICE: tuple[Quantity, ...] = (
 """Magnitudes are those of the space vector: line to line, and of a line's current, RMS at rest."""
 
 
-def draw_all(folder: Path, scenarios: dict[str, FarmVerification], compared: dict[float, dict[str, FarmRun]]) -> None:
+def draw_all(folder: Path, scenarios: dict[str, Runs], compared: dict[float, dict[str, FarmRun]]) -> None:
     """Write every figure into ``folder``."""
     figures = {
         "line": lambda: line_waves(scenarios),
@@ -51,22 +52,22 @@ def draw_all(folder: Path, scenarios: dict[str, FarmVerification], compared: dic
             figure().savefig(folder / f"paper-farm-{name}.png", dpi=170, metadata={"Software": None})
 
 
-def line_waves(scenarios: dict[str, FarmVerification]) -> Figure:
+def line_waves(scenarios: dict[str, Runs]) -> Figure:
     """U, I, P, Q of the farm's line, without and with damping control."""
     return _waves({name: _of_line(scenarios[name]) for name in _SHOWN}, _LINE, 6.4)
 
 
-def turbine_waves(scenarios: dict[str, FarmVerification]) -> Figure:
+def turbine_waves(scenarios: dict[str, Runs]) -> Figure:
     """Terminal voltage, current, DC link and rotor speed of the first turbine."""
     return _waves({name: _of_turbine(scenarios[name]) for name in _TURBINE}, _DEVICE, 6.4)
 
 
-def _of_line(verified: FarmVerification) -> list[Trajectory]:
-    return [run.trajectory.line for run in verified.runs[:2]]
+def _of_line(verified: Runs) -> list[Trajectory]:
+    return [run.trajectory.line for run in verified[:2]]
 
 
-def _of_turbine(verified: FarmVerification) -> list[Trajectory]:
-    return [run.trajectory.devices[0] for run in verified.runs[:2]]
+def _of_turbine(verified: Runs) -> list[Trajectory]:
+    return [run.trajectory.devices[0] for run in verified[:2]]
 
 
 def _waves(columns: dict[str, list[Trajectory]], quantities: tuple[Quantity, ...], height: float) -> Figure:
@@ -108,15 +109,15 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, ["without damping control", "with it, k = 1.5"], loc="outside upper center", ncols=2)
 
 
-def spectra(scenarios: dict[str, FarmVerification]) -> Figure:
+def spectra(scenarios: dict[str, Runs]) -> Figure:
     """The line's current over 300 ms, before the control starts or synchronism is lost, and at the end with it."""
     names = ("1.25 Z", "1.375 Z", "1.5 Z", "11 turbines")
     figure = Figure(figsize=(_WIDTH, 2.4), layout="constrained")
     axes = figure.subplots(1, len(names), sharey=True)
     for ax, name in zip(axes, names, strict=True):
-        without, damped = (run.trajectory.line for run in scenarios[name].runs[:2])
-        before_s = min(0.6, without.lost_s or np.inf)
-        for trajectory, end_s, style in ((without, before_s, _WITHOUT), (damped, 1.5, _WITH)):
+        without, damped = (run.trajectory.line for run in scenarios[name][:2])
+        before_s = min(0.6, without.lost_s or np.inf, without.time_s[-1])
+        for trajectory, end_s, style in ((without, before_s, _WITHOUT), (damped, damped.time_s[-1], _WITH)):
             ax.semilogy(*_spectrum(trajectory, end_s), **style)
         ax.set_title(name)
         ax.set_xlabel("f (Hz)")
@@ -130,7 +131,7 @@ def spectra(scenarios: dict[str, FarmVerification]) -> Figure:
 
 def _spectrum(trajectory: Trajectory, end_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (Hz) and magnitudes of the 300 ms before ``end_s``, a Hann window, over the fundamental's."""
-    seen = (trajectory.time_s >= end_s - 0.3) & (trajectory.time_s < end_s)
+    seen = (trajectory.time_s >= max(end_s - 0.3, 0.0)) & (trajectory.time_s < end_s)
     current, dt_s = trajectory.i[seen], trajectory.time_s[1] - trajectory.time_s[0]
     n = 8 * len(current)
     found = np.abs(np.fft.fft(current * np.hanning(len(current)), n))

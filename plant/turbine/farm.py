@@ -175,7 +175,7 @@ class TurbineFarm:
         ports = tuple(self.members[k].node for k in connected) + tuple(node for node, _ in self.dampers)
         branches = (*conditions.circuit.branches, *shunts)
         dynamics = dynamics_of(branches, ports, p.w1_rad_s, conditions.fault)
-        return _stepped(dynamics, conditions.watch, self.dt_s, connected, factors)
+        return _stepped(dynamics, conditions.watch, self.dt_s, connected, tuple(each.name for each in shunts), factors)
 
     def trace(self, state: FarmState, conditions: FarmConditions, n_steps: int) -> tuple[FarmState, FarmTrace]:
         """Go on under ``conditions``; samples at steps 0 ... n_steps - 1.
@@ -346,6 +346,7 @@ def _stepped(
     watch: tuple[tuple[str, str], ...],
     step_s: float,
     connected: tuple[int, ...],
+    shunts: tuple[str, ...],
     factors: tuple[float, ...],
 ) -> Stepped:
     """Outputs and weights: voltages of the ports, currents out of the turbines, what is watched."""
@@ -354,13 +355,12 @@ def _stepped(
     of_x, of_u = np.zeros((rows, at.n)), np.zeros((rows, len(ports)))
     for k, port in enumerate(ports):
         of_x[k, at.node[port]] = 1.0
-    for k in range(n):  # the turbines' shunts are the last branches
-        of_x[len(ports) + k, at.current[len(names) - n + k]] = -1.0
+    for k, shunt in enumerate(shunts):
+        of_x[len(ports) + k, at.current[names.index(shunt)]] = -1.0
         of_u[len(ports) + k, k] = 1.0
     for k, (what, name) in enumerate(watch):
         of_x[len(ports) + n + k, at.node[name] if what == "v" else at.current[names.index(name)]] = 1.0
     outputs = Outputs(of_x, of_u)
-    shunts = names[len(names) - n :]
     places = [Place(*each) for each in zip(ports[:n], shunts, factors, strict=True)]
     parts = split(dynamics, outputs, step_s, places, len(ports) - n, LANES)
     return Stepped(dynamics, outputs, parts, connected, factors)

@@ -177,10 +177,11 @@ def lone_scenario(*events) -> tuple[object, FarmScenario]:
     return farm, FarmScenario(LINE, 690.0, (True,), (complex(v),), (PCC, "line"), peak, events)
 
 
-def test_a_farm_of_one_is_the_turbine_alone_through_a_fault_and_a_power_step():
-    farm, scenario = lone_scenario(BusFault(0.05, 0.03, PCC, "b-c", 2.0), DevicePower(0.15, 0, 0.5e6))
+@pytest.mark.parametrize("kind", ["b-c", "a-b-c"])
+def test_a_farm_of_one_is_the_turbine_alone_through_a_fault_and_a_power_step(kind):
+    farm, scenario = lone_scenario(BusFault(0.05, 0.03, PCC, kind, 2.0), DevicePower(0.15, 0, 0.5e6))
     found = simulate_farm(farm, scenario, None, 0.3)
-    alone = Scenario(0.6e6, 0.0, 1.0, 690.0, (PccFault(0.05, 0.03, "b-c", 2.0), PowerStep(0.15, 0.5e6)), circuit=LINE)
+    alone = Scenario(0.6e6, 0.0, 1.0, 690.0, (PccFault(0.05, 0.03, kind, 2.0), PowerStep(0.15, 0.5e6)), circuit=LINE)
     truth = simulate(PLANT, alone, None, 0.3)
     (of,) = found.devices
     # A fault's current belongs to the network here, and to the line's end there: the turbine's own is compared.
