@@ -22,6 +22,9 @@ SURE = 0.01
 SAME = 1e-6
 """Frequencies closer than this, relatively, are one."""
 
+ONE_FUNDAMENTAL = 1e-4
+"""Fundamentals closer than this, relatively, are one: that of a recording is measured, and a grid's wanders."""
+
 _QUANTILE = 15.507313
 """95 % quantile of chi-squared with eight degrees of freedom."""
 
@@ -123,8 +126,10 @@ def compare(a: FrequencyResponse, b: FrequencyResponse, tolerance: float = 1e-4)
     SeqsweepError
         If the fundamentals differ or no row of the first lies in the band of the second.
     """
-    if a.f1_hz != b.f1_hz:
-        raise SeqsweepError(f"the fundamentals are {a.f1_hz:g} and {b.f1_hz:g} Hz: these are not one device")
+    if abs(a.f1_hz - b.f1_hz) > ONE_FUNDAMENTAL * a.f1_hz:
+        raise SeqsweepError(
+            f"the fundamentals are {a.f1_hz:.7g} and {b.f1_hz:.7g} Hz: these are not one device, or not on one grid"
+        )
     usable_b = b.f_hz[b.usable]
     if len(usable_b) == 0:
         raise SeqsweepError(f"{b.meta.get('op_id')}: no usable row to compare with")

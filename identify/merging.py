@@ -70,10 +70,15 @@ def _check_one_device(a: Mapping[str, Any], name_a: str, b: Mapping[str, Any], n
     pairs += [(f"[{key}] of the campaign", _section(a, key), _section(b, key)) for key in _SECTIONS]
     for key, in_a, in_b in pairs:
         if in_a != in_b:
-            raise MergeError(
-                f"{name_a} and {name_b} are not of one device: {key} is {_short(in_a)} in the one and "
-                f"{_short(in_b)} in the other"
-            )
+            raise MergeError(f"{name_a} and {name_b} are not of one device: {_difference(key, in_a, in_b)}")
+
+
+def _difference(key: str, a: Any, b: Any) -> str:
+    """What differs, down to the first value that does; of a plant its id before anything else."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        inner = next(k for k in ("id", *a, *b) if a.get(k) != b.get(k))
+        return _difference(f"{key} {inner}", a.get(inner), b.get(inner))
+    return f"{key} is {_short(a)} in the one and {_short(b)} in the other"
 
 
 def _section(meta: Mapping[str, Any], key: str) -> Any:

@@ -55,7 +55,11 @@ STEP = re.compile(
     re.DOTALL,
 )
 LEFT_OUT = "..."
-PROGRESS = re.compile(r"\d+/\d+ (points|pairs|rows|shots|sweeps)\b|took \d|going on: \d|.*\bgiven up in \d")
+PROGRESS = re.compile(
+    r"^(?:\d+/\d+ (?:points|pairs|rows|shots|sweeps)\b.*|took \d.*|going on: \d.*"
+    r"|\S+: (?:not yet at a shot|at (?:shot )?\d+ (?:of|shots)).*(?:\n  .*)*)(?:\n|\Z)",  # the last ones go on below
+    re.MULTILINE,
+)
 Step = tuple[str, str, str]
 """Kind (run, file, picture), name, and command, text or file."""
 
@@ -177,7 +181,7 @@ def _said(session: Session, command: str, may_fail: bool) -> str:
         raise SessionFailed(f"$ {command}\n{said}exit status {session.status}")
     if wide := too_wide(command, said):
         raise SessionFailed(f"$ {command}\n{wide[0]}\nis wider than {WIDTH} columns")
-    return "".join(line for line in said.splitlines(keepends=True) if not PROGRESS.match(line))
+    return PROGRESS.sub("", said)
 
 
 def too_wide(command: str, said: str) -> list[str]:

@@ -27,6 +27,7 @@ from .commands import COMMANDS, epilog_of, meant_by
 from .kinds import refuse_others
 from .say import say, tell
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
+from .shell import first_sentence
 from .telling import speaking
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -68,8 +69,8 @@ def _program(names: Iterable[str]) -> typer.Typer:
     program = typer.Typer(**_PROGRAM)
     program.callback(invoke_without_command=True)(_version)
     for name in names:
-        command = speaking(COMMANDS[name].run, partial(refuse_others, name))
-        program.command(name, epilog=epilog_of(COMMANDS[name]))(command)
+        told = speaking(COMMANDS[name].run, partial(refuse_others, name))
+        program.command(name, epilog=epilog_of(COMMANDS[name]), short_help=first_sentence(told.__doc__ or ""))(told)
     return program
 
 

@@ -176,7 +176,7 @@ def _zsh(commands: list[Spec]) -> str:
             "_seqsweep() {",
             "    local -a commands",
             "    commands=(",
-            *(f"        '{spec.name}:{_quoted(_first(spec.help))}'" for spec in commands),
+            *(f"        '{spec.name}:{_quoted(first_sentence(spec.help))}'" for spec in commands),
             "    )",
             "    if (( CURRENT == 2 )); then",
             "        _describe -t commands 'seqsweep command' commands",
@@ -224,9 +224,8 @@ def _quoted(text: str) -> str:
 def _fish(commands: list[Spec]) -> str:
     lines = ["# fish completion of seqsweep, made by: seqsweep completion fish"]
     for spec in commands:
-        lines.append(
-            f"complete -c seqsweep -n __fish_use_subcommand -f -a {spec.name} -d {_fish_text(_first(spec.help))}"
-        )
+        what = _fish_text(first_sentence(spec.help))
+        lines.append(f"complete -c seqsweep -n __fish_use_subcommand -f -a {spec.name} -d {what}")
         words = _words(spec.arguments[0]) if spec.arguments else ()
         if words:
             lines.append(f"complete -c seqsweep -n '__fish_seen_subcommand_from {spec.name}' -f -a '{' '.join(words)}'")
@@ -247,9 +246,9 @@ def _fish_text(text: str) -> str:
     return f"'{escaped}'"
 
 
-def _first(text: str) -> str:
+def first_sentence(text: str) -> str:
     """The first sentence of a help."""
-    return re.split(r"(?<=[.?!])\s", text, maxsplit=1)[0]
+    return " ".join(re.split(r"(?<=[.?!])\s", text, maxsplit=1)[0].split())
 
 
 # The manual page -----------------------------------------------------------------------------------------------------

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from seqsweep.identify.comparison import compare
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.plant.errors import SeqsweepError
 
 from ..support import oracle
 
@@ -45,6 +48,13 @@ def test_decibels_and_degrees_are_those_of_the_factor():
     comparison = compare(measured(0.0, 1, factor=1.1 * np.exp(0.1j)), measured(0.0, 2), tolerance=0.0)
     assert max(band.largest_db for band in comparison.bands) == pytest.approx(20.0 * np.log10(1.1), rel=1e-9)
     assert max(band.largest_deg for band in comparison.bands) == pytest.approx(np.degrees(0.1), rel=1e-9)
+
+
+def test_a_recorded_fundamental_is_the_nominal_one_up_to_what_a_record_tells():
+    a, b = measured(1e-3, 1), measured(1e-3, 2)
+    assert compare(a, replace(b, f1_hz=50.0 - 5e-7)).agrees
+    with pytest.raises(SeqsweepError, match=r"the fundamentals are 50 and 50\.1 Hz"):
+        compare(a, replace(b, f1_hz=50.1))
 
 
 def test_rows_of_another_grid_are_held_against_the_interpolation():

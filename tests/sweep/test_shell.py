@@ -26,6 +26,12 @@ def test_the_module_is_the_command():
     assert "compare" in done.stdout
 
 
+def test_the_help_has_a_whole_sentence_for_every_command():
+    told = " ".join(command("--help").stdout.split())
+    assert "..." not in told.partition("Commands:")[2]
+    assert "Print every shot, the simulated seconds and the expected wall time; no shot is fired." in told
+
+
 def test_version_names_the_table_format_and_python():
     done = command("--version")
     assert "table format 1." in done.stdout
