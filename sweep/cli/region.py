@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .anywhere import Parameter, model_of, named_value
-from .shared import Force, TableFile, WrongInput, check_outputs
+from .shared import Force, TableFile, WrongInput, check_outputs, check_plot
 from .telling import remark, result
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ def surrogate(
         Path | None, typer.Option("-o", "--output", metavar="FILE.parquet", help="The surrogate, or with --at a table.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Map of the region: .png, .svg or .pdf.")] = None,
+    progress: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture of the doubt over the number of sweeps.")
+    ] = None,
     force: Force = False,
 ) -> None:
     """Y at any operating point between the swept ones, how sure it is, and the worst point on a grid."""
@@ -46,6 +49,9 @@ def surrogate(
         raise WrongInput("--source-voltage is that of a grid: give --grid R+jX as well")
     check_outputs(output, force, plot, ".parquet")
     content = read_table(table)
+    check_plot(progress)
+    if progress is not None and "history" not in content.meta.get("region", {}):
+        raise WrongInput(f"{table}: --progress is drawn of a table whose campaign chose its operating points")
     model = model_of(content, parameter)
     points = [_point(text, model) for text in at or ()]
     asked = [_line(model, point) for point in points]  # a point outside is refused before anything is searched
@@ -59,6 +65,10 @@ def surrogate(
         from ..region.figure import plot_map
 
         plot_map(plot, model, worst)
+    if progress is not None:
+        from ..region.figure import plot_progress
+
+        plot_progress(progress, content.meta["region"])
 
 
 def _point(text: str, model: Surrogate) -> np.ndarray:

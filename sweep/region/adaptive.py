@@ -97,7 +97,7 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
     region, goal = region_of(asked), _goal(config)
     folder = output.with_name(output.name + ".rounds")
     folder.mkdir(exist_ok=True)
-    pace = Pace()
+    pace, history = Pace(), list[dict[str, Any]]()
     swept = _with_rounds(_Swept(), config, region, first_points(region, asked.seed), folder, sweep)
     while True:
         surrogate = build_surrogate(swept.useful, region=region)
@@ -106,12 +106,13 @@ def sweep_region(config: Config, output: Path, sweep: Sweep, say: Callable[[str]
         progress = Progress(doubt, at if between is None else between, swept.missed, width)
         certified = progress.is_certified(goal.tolerance, goal.wider)
         pace.mark(len(swept.responses), doubt)
+        history.append({"operating_points": len(swept.responses), "doubt": doubt, "fresh_error": _last(swept.missed)})
         words = _words(progress, surrogate, len(swept.responses), goal)
         say(words if certified else words + pace.left(goal.tolerance / goal.wider))
         if certified or len(swept.responses) >= asked.most or pace.is_over(asked.most_minutes):
             break
         swept = _predicted(swept, surrogate, config, goal, progress.at, folder, sweep)
-    write_table(output, swept.responses, _metadata(config, swept, progress, certified, asked))
+    write_table(output, swept.responses, _metadata(config, swept, progress, certified, history))
     shutil.rmtree(folder)
     return RegionOutcome(_statuses(swept.responses), progress, certified, len(swept.responses), goal.promise)
 
@@ -201,9 +202,11 @@ def _refuse_lost(responses: Sequence[FrequencyResponse]) -> None:
 
 
 def _metadata(
-    config: Config, swept: _Swept, progress: Progress, certified: bool, asked: OperatingPointsSection
+    config: Config, swept: _Swept, progress: Progress, certified: bool, history: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """Metadata of the whole: every point of every round, the campaign as it was asked for, and the certificate."""
+    asked = config.sweep.operating_points
+    assert asked is not None
     first = swept.tables[0].meta
     kept = {key: first[key] for key in ("f1_hz", "bases", "power_meaning")}
     plant = first["plant"]
@@ -219,8 +222,14 @@ def _metadata(
             **_tolerance_facts(asked, progress),
             "border_width": progress.width,
             "fresh_errors": [None if not np.isfinite(miss) else miss for miss in progress.missed],
+            "history": history,
         },
     }
+
+
+def _last(missed: Sequence[float]) -> float | None:
+    """How the last fresh sweep was met; None where there was none, or no row of it could be used."""
+    return missed[-1] if missed and np.isfinite(missed[-1]) else None
 
 
 def _tolerance_facts(asked: OperatingPointsSection, progress: Progress) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from ...tuning.region.worst import Worst
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.tri import Triangulation
+
+_LEAST_POINTS = 8  # fewer show no border
 
 LABELS = {
     "active_power_mw": "Active power P (MW)",
@@ -65,14 +69,47 @@ def _map(figure: Figure, axes: Axes, surrogate: Surrogate, worst: Worst | None, 
     points, values, label = _values(surrogate, worst)
     places, worst_at = points[:, (across, up)], values
     if np.count_nonzero(surrogate.region.varies) > 2:
-        places, worst_at = _worst_by_place(places, values, lowest=worst is not None)
+        seen = _worst_by_place(places, values, lowest=worst is not None)
+        places, worst_at = places[seen], values[seen]
     shown = axes.tricontourf(places[:, 0], places[:, 1], worst_at, levels=12, cmap="cividis")
     figure.colorbar(shown, ax=axes, label=label)
-    if worst is not None and worst_at.min() < 1.0 < worst_at.max():
-        edge = axes.tricontour(places[:, 0], places[:, 1], worst_at, levels=[1.0], colors=WARNING)
-        axes.clabel(edge, fmt="m = 1")
+    if worst is not None:
+        _border_of_stability(axes, worst, across, up)
     _mark(axes, surrogate, worst, across, up)
     _gap(axes, surrogate, across, up)
+
+
+def _border_of_stability(axes: Axes, worst: Worst, across: int, up: int) -> None:
+    """Where a mode begins to grow, as a line, and where its 95 % region leaves that open, as a band.
+
+    Of a third axis the mode that grows most at each place is seen.
+    """
+    from matplotlib.tri import LinearTriInterpolator
+
+    known = np.isfinite(worst.scanned.mode) & np.isfinite(worst.scanned.mode_radius)
+    places, growth = worst.points[known][:, (across, up)], worst.scanned.mode[known].real
+    radius = worst.scanned.mode_radius[known]
+    if len(worst.free) > 2 and len(places):
+        seen = _worst_by_place(places, growth, lowest=False)
+        places, growth, radius = places[seen], growth[seen], radius[seen]
+    if len(places) < _LEAST_POINTS or not growth.min() < 0.0 < growth.max():
+        return
+    triangles = _without_slivers(places)
+    x, y = np.meshgrid(*np.linspace(places.min(axis=0), places.max(axis=0), 300).T)
+    rising, wide = (LinearTriInterpolator(triangles, values)(x, y) for values in (growth, radius))
+    axes.contourf(x, y, wide - np.abs(rising), levels=[0.0, np.inf], colors=[WARNING], alpha=0.35)
+    axes.contour(x, y, rising, levels=[0.0], colors=WARNING)
+    axes.plot([], [], color=WARNING, label="border of stability; band: open at 95 %")
+
+
+def _without_slivers(places: np.ndarray) -> Triangulation:
+    """Triangles between points, but for flat ones along the edges, across which nothing is to be interpolated."""
+    from matplotlib.tri import TriAnalyzer, Triangulation
+
+    unit = (places - places.min(axis=0)) / np.ptp(places, axis=0)
+    own = Triangulation(*unit.T)
+    flat = TriAnalyzer(own).get_flat_tri_mask(min_circle_ratio=0.05)
+    return Triangulation(*places.T, triangles=own.triangles, mask=flat)
 
 
 def _gap(axes: Axes, surrogate: Surrogate, across: int, up: int) -> None:
@@ -88,14 +125,14 @@ def _gap(axes: Axes, surrogate: Surrogate, across: int, up: int) -> None:
     axes.contour(x, y, (side == 1).astype(float), levels=[0.5], colors=WARNING, linestyles="--")
 
 
-def _worst_by_place(places: np.ndarray, values: np.ndarray, lowest: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Places on a grid of 24 x 24 cells and the worst value in each cell."""
+def _worst_by_place(places: np.ndarray, values: np.ndarray, lowest: bool) -> np.ndarray:
+    """Of 24 x 24 cells the index of the worst value in each that holds any."""
     low, high = places.min(axis=0), places.max(axis=0)
     cell = np.clip(((places - low) / (high - low) * 24.0).astype(int), 0, 23)
     number = cell[:, 0] * 24 + cell[:, 1]
     order = np.lexsort((values if lowest else -values, number))
     first = order[np.concatenate([[True], np.diff(number[order]) > 0])]
-    return places[first], values[first]
+    return np.asarray(first)
 
 
 def _values(surrogate: Surrogate, worst: Worst | None) -> tuple[np.ndarray, np.ndarray, str]:
@@ -118,3 +155,49 @@ def _mark(axes: Axes, surrogate: Surrogate, worst: Worst | None, across: int, up
         x, y = worst.point[across], worst.point[up]
         axes.plot(x, y, "*", color=WARNING, markersize=11, label="worst", clip_on=False, zorder=5)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
+
+
+def plot_progress(path: str | Path, region: Mapping[str, Any]) -> None:
+    """Draw how the doubt fell with the number of operating points; see `write_figure`.
+
+    Parameters
+    ----------
+    path : path
+        Where to.
+    region : mapping
+        ``region`` of a table's metadata.
+    """
+    write_figure(path, lambda: progress_figure(region))
+
+
+def progress_figure(region: Mapping[str, Any]) -> Figure:
+    """The doubt that is left, how fresh sweeps were met, and what was asked, over the number of operating points."""
+    figure = new_figure(3.0)
+    axes = figure.add_subplot()
+    rounds = region["history"]
+    n = [each["operating_points"] for each in rounds]
+    axes.semilogy(n, [max(each["doubt"], _LEAST) for each in rounds], "o-", color=DEVICE, label="largest that is open")
+    fresh = [(each["operating_points"], each["fresh_error"]) for each in rounds if each["fresh_error"] is not None]
+    if fresh:
+        at, missed = zip(*fresh, strict=True)
+        axes.semilogy(at, np.maximum(missed, _LEAST), "x", color=QUIET, label="fresh sweep against its prediction")
+    asked, label = _asked(region)
+    axes.axhline(asked, color=WARNING, linestyle="--", label="asked")
+    axes.set_xlabel("Operating points swept")
+    axes.set_ylabel(label)
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.legend(frameon=False)
+    return figure
+
+
+_LEAST = 1e-12  # below, nothing is told from rounding
+
+
+def _asked(region: Mapping[str, Any]) -> tuple[float, str]:
+    """The tolerance, and what it is of."""
+    on_grids = region.get("on_grids")
+    if on_grids is None:
+        return float(region["tolerance"]), "95 % radius of Y, relative"
+    if "mode_rad_s" in on_grids:
+        return float(on_grids["mode_rad_s"]), "Radius of the critical mode (rad/s)"
+    return float(on_grids["verdict"]), "Share of the region without a verdict"

@@ -10,6 +10,7 @@ import pytest
 from seqsweep.identify.surrogate.store import read_surrogate
 from seqsweep.identify.table.read import read_table, validate_table
 from seqsweep.sweep.config.sections import Config
+from seqsweep.sweep.region.figure import map_figure
 from seqsweep.sweep.region.pace import Pace
 from seqsweep.tuning.region.scan import scan
 from seqsweep.tuning.region.worst import worst_point
@@ -134,6 +135,30 @@ def test_a_map_is_drawn(folder):
     done = command("surrogate", folder / "y.parquet", "--grid", "0.012+0.25j", "--plot", folder / "map.svg")
     assert done.returncode == 0, done.stderr
     assert "Magnitude margin m" in (folder / "map.svg").read_text()
+
+
+def test_the_border_of_stability_is_on_the_map_with_its_doubt(folder):
+    """On a grid whose border runs through the region the line is where the exact device's mode has no real part."""
+    surrogate = read_surrogate(folder / "y.parquet")
+    worst = worst_point(surrogate, parse_grid("0.01+0.29j", 50.0))
+    figure = map_figure(surrogate, worst)
+    axes = figure.axes[0]
+    assert "border of stability; band: open at 95 %" in axes.get_legend_handles_labels()[1]
+    line = [c for c in axes.collections if list(getattr(c, "levels", [])) == [0.0]][-1]
+    at = np.concatenate([path.vertices for path in line.get_paths()])[::40]
+    grid = parse_grid("0.01+0.29j", 50.0)
+    for p, v in at:
+        poles = oracle.closed_loop_poles(p * 1e6, grid.r_ohm, grid.l_h, terminal_voltage_v=v * 690.0)
+        assert abs(oracle.resonance_pole(poles).real) < 0.5
+
+
+def test_the_doubt_over_the_number_of_sweeps_is_drawn(folder, tmp_path):
+    done = command("surrogate", folder / "y.parquet", "--progress", tmp_path / "p.svg")
+    assert done.returncode == 0, done.stderr
+    assert "Operating points swept" in (tmp_path / "p.svg").read_text()
+    history = read_table(folder / "y.parquet").meta["region"]["history"]
+    assert [each["operating_points"] for each in history] == list(range(6, 6 + len(history)))
+    assert history[-1]["doubt"] <= 2.5e-3
 
 
 WRONG = {
