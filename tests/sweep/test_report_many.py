@@ -122,11 +122,14 @@ def test_a_surrogate_is_table_and_surrogate_at_once(tmp_path, folder):
 
 
 @pytest.mark.evidence
-def test_a_thousand_operating_points_on_four_hundred_grids_take_less_than_30_s():
+def test_the_papers_case_takes_less_than_5_s_and_a_thousand_points_on_four_hundred_grids_less_than_30_s():
+    """Seconds of CPU, start of Python included: on a quiet machine they are those of the clock, printed beside them."""
     done = subprocess.run(
         [sys.executable, TOP / "benchmarks" / "report.py"], capture_output=True, text=True, check=True
     )
     print(done.stdout)
-    seconds, megabytes = (float(x) for x in re.search(r"grids: ([\d.]+) s,.* ([\d.]+) MB,", done.stdout).groups())
-    assert seconds < 30.0
-    assert megabytes < 3.0
+    found = re.findall(r"^report of .*, ([\d.]+) s of CPU, ([\d.]+) MB$", done.stdout, re.MULTILINE)
+    (case_s, case_mb), (many_s, many_mb) = [(float(s), float(mb)) for s, mb in found]
+    assert case_s < 5.0
+    assert many_s < 30.0
+    assert max(case_mb, many_mb) < 3.0
