@@ -22,6 +22,7 @@ from .siso import Grid, check_fundamental, impedance_pn, siso
 from .unseen import unseen
 from .winding import Winding, about, refine_locus, wind
 
+_PLACED = 0.03  # a well damped mode is named if its place is known to this part of itself
 _SHARP = 1e-3  # a mode of a contested fit is named if its place is known to this part of itself
 
 
@@ -127,16 +128,19 @@ def _own_modes(model: RationalModel, anchor: Anchor | None) -> int:
 def _beside(ruling: Ruling, loop: ClosedLoop) -> ClosedLoop:
     """The closed loop without its resonance where the verdict takes the ground from under it.
 
-    Where no verdict is given, or an aperiodic mode makes the loop unstable, a well damped mode is not what matters, and
-    it is the least sure of all: the fit of another order has it elsewhere. Where the fit is contested, a mode has to be
-    known sharply; where it is denied, none is.
+    A well damped mode is the least sure of all: the fit of another order has it elsewhere. Beside a stable verdict it
+    has to be placed; where no verdict is given, or an aperiodic mode makes the loop unstable, it is not what matters.
+    Where the fit is contested, a mode has to be known sharply; where it is denied, none is.
     """
     k = loop.critical
-    if k is None or ruling.verdict == "stable":
+    if k is None:
         return loop
-    is_sharp = abs(loop.std[k]) < _SHARP * abs(loop.poles[k])
-    is_named = ruling.fit == "sound" or (ruling.fit == "contested" and is_sharp)
-    return loop if is_named and loop.damping[k] <= LIGHT else replace(loop, critical=None, withheld=k)
+    vague, is_light = abs(loop.std[k]) / abs(loop.poles[k]), loop.damping[k] <= LIGHT
+    if ruling.verdict == "stable":
+        is_named = is_light or vague < _PLACED
+    else:
+        is_named = is_light and (ruling.fit == "sound" or (ruling.fit == "contested" and vague < _SHARP))
+    return loop if is_named else replace(loop, critical=None, withheld=k)
 
 
 def swept_band(model: RationalModel) -> tuple[float, float]:

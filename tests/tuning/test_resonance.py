@@ -55,6 +55,8 @@ def with_damping(loop: ClosedLoop, zeta: float, std: float) -> ClosedLoop:
     ("verdict", "fit", "damping", "std", "is_named"),
     [
         ("stable", "sound", 0.3, 1e-2, True),
+        ("stable", "sound", 0.3, 5e-2, False),
+        ("stable", "sound", 0.02, 5e-2, True),
         ("undecided", "sound", 0.02, 1e-2, True),
         ("undecided", "sound", 0.3, 1e-5, False),
         ("undecided", "contested", 0.02, 1e-5, True),
