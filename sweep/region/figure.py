@@ -107,9 +107,9 @@ def _without_slivers(places: np.ndarray) -> Triangulation:
     from matplotlib.tri import TriAnalyzer, Triangulation
 
     unit = (places - places.min(axis=0)) / np.ptp(places, axis=0)
-    own = Triangulation(*unit.T)
+    own = Triangulation(unit[:, 0], unit[:, 1])
     flat = TriAnalyzer(own).get_flat_tri_mask(min_circle_ratio=0.05)
-    return Triangulation(*places.T, triangles=own.triangles, mask=flat)
+    return Triangulation(places[:, 0], places[:, 1], own.triangles, flat)
 
 
 def _gap(axes: Axes, surrogate: Surrogate, across: int, up: int) -> None:
@@ -172,6 +172,8 @@ def plot_progress(path: str | Path, region: Mapping[str, Any]) -> None:
 
 def progress_figure(region: Mapping[str, Any]) -> Figure:
     """The doubt that is left, how fresh sweeps were met, and what was asked, over the number of operating points."""
+    from matplotlib.ticker import MaxNLocator
+
     figure = new_figure(3.0)
     axes = figure.add_subplot()
     rounds = region["history"]
@@ -185,7 +187,7 @@ def progress_figure(region: Mapping[str, Any]) -> Figure:
     axes.axhline(asked, color=WARNING, linestyle="--", label="asked")
     axes.set_xlabel("Operating points swept")
     axes.set_ylabel(label)
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(frameon=False)
     return figure
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.surrogate.design import WIDTH, first_points
-from seqsweep.identify.surrogate.jumps import EVIDENCE, Border, Cut, _features, _splits, _thinned
+from seqsweep.identify.surrogate.jumps import EVIDENCE, Border, Cut, _features, _splits, _thinned, find_border
 from seqsweep.identify.surrogate.partitions import evidence_of
-from seqsweep.identify.surrogate.region import scale_of
+from seqsweep.identify.surrogate.region import Region, scale_of
+from seqsweep.identify.surrogate.sparse_rational import Data
 from seqsweep.identify.surrogate.store import surrogate_of, write_surrogate
 from seqsweep.identify.surrogate.surrogate import AXES, SurrogateError, _data_of
 from seqsweep.identify.table.read import read_table
@@ -134,6 +135,23 @@ def test_features_that_disagree_leave_a_gap():
     border = Border((Cut("active power", 0.5, 0.6), Cut("current", 0.5, 0.6)))
     points = np.array([[0.3, 0.0, 1.0], [0.9, 0.0, 1.0], [0.62, 0.0, 1.1], [0.55, 0.0, 1.0]])
     assert border.side(points).tolist() == [0, 1, -1, -1]
+
+
+def test_a_device_that_switches_at_a_value_of_a_parameter_is_parted_by_it():
+    """A synthetic device over P, V and one parameter: another one above 0.3, which no power or voltage tells."""
+    random = np.random.default_rng(2)
+    box = Region(np.array([0.2, 0.0, 0.9, 0.0]), np.array([1.3, 0.0, 1.1, 1.0]), ("gain",))
+    points = np.vstack([first_points(box, 1), box.low + random.random((18, 4)) * (box.high - box.low)])
+    x = scale_of(points, box).unit(points)
+    slopes = random.normal(size=(2, 6, 4, 3))
+    side = (points[:, 3] > 0.3).astype(int)
+    y = np.array([1.0 + 0.3 * slopes[s] @ each for s, each in zip(side, x, strict=True)]).transpose(1, 0, 2)
+    data = Data(x, y.astype(complex), 1.0 / np.linalg.norm(y, axis=2))
+    border = find_border(points, data, scale_of(points, box).unit(box.samples(32)), None, ("gain",)).border
+    assert border.cuts[0].feature == "gain"
+    assert border.cuts[0].low <= 0.3 <= border.cuts[0].high
+    assert str(border).startswith("gain 0.")
+    assert np.array_equal(border.side(points), side)
 
 
 REGION = {
