@@ -55,9 +55,9 @@ STEP = re.compile(
     re.DOTALL,
 )
 LEFT_OUT = "..."
-PROGRESS = re.compile(
+PROGRESS = re.compile(  # the last kind goes on below
     r"^(?:\d+/\d+ (?:points|pairs|rows|shots|sweeps)\b.*|took \d.*|going on: \d.*"
-    r"|\S+: (?:not yet at a shot|at (?:shot )?\d+ (?:of|shots)).*(?:\n  .*)*)(?:\n|\Z)",  # the last ones go on below
+    r"|\S+: (?:not yet at a shot|unperturbed|at (?:shot )?\d+ (?:of|shots)).*(?:\n  .*)*)(?:\n|\Z)",
     re.MULTILINE,
 )
 Step = tuple[str, str, str]

@@ -216,6 +216,7 @@ def test_progress_is_left_out_with_what_goes_on_below_it(code: None) -> None:
 
     beat = "p0: not yet at a shot, starting or settling for 10 s, the batch for 10 s; it\n  is given up in 470 s\n"
     shot = "p0: at shot 3 of 8, 12.5 Hz, for 5 s; it is given up in 460 s\n"
+    shot += "p0: unperturbed for 0 s, the batch for 10 s; it is given up in 110 s\n  (plant.timeout_s ...)\n"
     said = f"7/100 points\n{beat}p0: 0.65 MW\n  band  1 Hz\n{shot}y.parquet: 100 ok\ntook 3 s"
     assert PROGRESS.sub("", said) == "p0: 0.65 MW\n  band  1 Hz\ny.parquet: 100 ok\n"
 
