@@ -173,8 +173,12 @@ def test_no_line_is_wider_than_the_terminal(
     assert too_wide(said.err) == []
 
 
-@pytest.mark.parametrize("name", sorted(COMMANDS))
-@pytest.mark.parametrize("arguments", [["--help"], ["--no-such-option-in-all-the-world-and-beyond=1"], []])
+ALONE = [(name, []) for name in sorted(set(COMMANDS) - FOR_PROGRAMS)]
+ASKED_FOR_HELP = [(name, ["--help"]) for name in sorted(COMMANDS)]
+MISCALLED = [(name, ["--no-such-option-in-all-the-world-and-beyond=1"]) for name in sorted(COMMANDS)]
+
+
+@pytest.mark.parametrize(("name", "arguments"), [*ASKED_FOR_HELP, *MISCALLED, *ALONE])
 def test_no_help_and_no_complaint_is_wider(
     name: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_path: Path
 ) -> None:
