@@ -95,8 +95,10 @@ def command(*arguments):
     with TemporaryFile("w+", encoding="utf-8") as out, TemporaryFile("w+", encoding="utf-8") as err:
         with _as_a_process([SEQSWEEP, *map(str, arguments)], out, err):
             status = main._status()
-        said = [unfolded(_read_again(stream)) for stream in (out, err)]
-    return subprocess.CompletedProcess(arguments, status, *said)
+        shown, told = map(_read_again, (out, err))
+    done = subprocess.CompletedProcess(arguments, status, unfolded(shown), unfolded(told))
+    done.shown = shown  # with the lines as they stand on a terminal
+    return done
 
 
 @contextmanager
