@@ -32,7 +32,7 @@ ON_S = 0.28
 LOOK_S = 0.6
 SCALES = (1.1, 1.25, 1.375, 1.5)
 MORE = (9, 11, 13)
-SHARES = (0.05, 0.10, 0.20, 0.50)
+SHARES = (0.05, 0.10, 0.50)
 COMPARED = (1.375, 1.5, 1.625)
 FAULTS = ("a-b-c", "a-g", "b-c", "b-c-g")
 POWER_MW = 0.49
@@ -72,7 +72,6 @@ class Cases:
         """The farm with its collector at 0.28 pu."""
         document = with_collector(self.document, WITH_COLLECTOR_MW)
         return {
-            "1.375 Z": lambda: self.weaker(first(document, 8), 1.375),
             "11 turbines": lambda: self.more(first(document, 11), 11),
         }
 
@@ -113,7 +112,7 @@ class Cases:
     def fault(self, kind: str) -> Runs:
         """One fault of 40 ms through 5 % of the grid's impedance."""
         event = FarmFault(STEP_S, 0.04, "pcc", kind, 0.05 * 40.5)
-        story = FarmStory(min(1.0, self.duration_s), k=ARDC_K, aggregate=False, events=(event,))
+        story = FarmStory(self.duration_s, k=ARDC_K, aggregate=False, events=(event,))
         return verify_farm(first(self.document, 8), self.library, story).runs
 
 
@@ -183,7 +182,7 @@ def rows(found: Results) -> list[Row]:
     """Paper, ours, why."""
     table = [_scenario(name, runs) for name, runs in found.scenarios.items()]
     table += [_comparison(scale, runs) for scale, runs in found.compared.items()]
-    table.append(_aggregate("farm and aggregate, no cables", found.scenarios, "one"))
+    table.append(_aggregate("farm and aggregate, no cables", found.scenarios, "what all meet"))
     table.append(
         _aggregate("farm and aggregate, on cables, 0.28 pu", found.cabled, "the mean of the terminal voltages")
     )
@@ -195,14 +194,16 @@ def _scenario(name: str, runs: Runs) -> Row:
     without, damped = runs[:2]
     said = f"without: {_told(without)}; k = {ARDC_K:g}: {_told(damped)}{_started(damped)}"
     paper = PAPER[name]
-    why = "no limit cycle here: synchronism is lost" if without.line.lost_s is not None else ""
+    why = "no limit cycle here: synchronism is lost" if without.trajectory.lost_s is not None else ""
+    if damped.trajectory.lost_s is not None:
+        why = "too hard a step: the turbines that come begin where their load flow puts them"
     return f"{name}, in time", paper, said, why
 
 
 def _told(run: FarmRun) -> str:
     """The line's end in words: lost, or r half a second after the event and at the end."""
-    if run.line.lost_s is not None:
-        return f"synchronism lost at {run.line.lost_s:.2f} s"
+    if run.trajectory.lost_s is not None:
+        return f"synchronism lost at {run.trajectory.lost_s:.2f} s"
     line = run.trajectory.line
     later = float(line.ratio[min(np.searchsorted(line.decision_s, LOOK_S), len(line.ratio) - 1)])
     return f"r {_percent(later)} at {LOOK_S:g} s, {_percent(run.line.last_ratio)} at the end"
@@ -220,12 +221,19 @@ def _started(run: FarmRun) -> str:
 def _comparison(scale: float, runs: dict[str, FarmRun]) -> Row:
     said = "; ".join(f"{name}: {_kept(run)}" for name, run in runs.items())
     paper = "GSDC of 10 % only to an extent, ARDC succeeds"
-    return f"SCR {1.8 / scale:.2f}, all on at {ON_S:g} s", paper, said, "the GSDC meets its limit of current"
+    kept = {run.trajectory.lost_s is None for name, run in runs.items() if name.startswith("GSDC")}
+    why = "sized by the eigenvalues, the GSDC asks for little current: its limit decides nothing"
+    return (
+        f"SCR {1.8 / scale:.2f}, all on at {ON_S:g} s",
+        paper,
+        said,
+        why if len(kept) == 1 else "the GSDC meets its limit",
+    )
 
 
 def _kept(run: FarmRun) -> str:
-    if run.line.lost_s is not None:
-        return f"lost at {run.line.lost_s:.2f} s"
+    if run.trajectory.lost_s is not None:
+        return f"lost at {run.trajectory.lost_s:.2f} s"
     return f"kept, r {_percent(run.line.last_ratio)} at the end"
 
 
@@ -238,8 +246,8 @@ def _aggregate(subject: str, found: dict[str, Runs], what: str) -> Row:
 
 
 def _end(run: FarmRun) -> str:
-    if run.line.lost_s is not None:
-        return f"lost {run.line.lost_s:.3f} s"
+    if run.trajectory.lost_s is not None:
+        return f"lost {run.trajectory.lost_s:.3f} s"
     rate = run.line.rate_per_s
     return "r " + _percent(run.line.last_ratio) if rate is None else f"{rate:+.2f} 1/s"
 
@@ -251,15 +259,15 @@ def _faults(found: dict[str, Runs]) -> Row:
         "40 ms faults at the connection, 8 turbines",
         paper,
         said,
-        "set B at 0.30 pu rides through without its limits",
+        "set B is weakly damped at SCR 1.8: what the fault leaves decays slowly",
     )
 
 
 def _fault(run: FarmRun) -> str:
     starts = sum(bool(device.started_s) for device in run.devices)
     calm = "not calm to the end" if run.line.calm_s is None else f"r below 3 % from {run.line.calm_s:.2f} s"
-    if run.line.lost_s is not None:
-        calm = f"synchronism lost at {run.line.lost_s:.2f} s"
+    if run.trajectory.lost_s is not None:
+        calm = f"synchronism lost at {run.trajectory.lost_s:.2f} s"
     return f"{calm}, {starts or 'no'} start{'s' if starts > 1 else ''}"
 
 
@@ -268,7 +276,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder with paper.md and figures/")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--duration", type=float, default=1.2, help="simulated time of a run (s); less is a trial")
+    parser.add_argument("--duration", type=float, default=0.9, help="simulated time of a run (s); less is a trial")
     asked = parser.parse_args()
     found = results(swept(), asked.duration, asked.jobs)
     lines = ["| | paper | ours | why different |", "|---|---|---|---|"]

@@ -21,6 +21,7 @@ _SHOWN = ("1.1 Z", "1.25 Z", "1.375 Z", "1.5 Z", "13 turbines")
 _TURBINE = ("1.375 Z", "13 turbines")
 
 Runs = tuple[FarmRun, ...]
+Shown = tuple[Trajectory, float]
 Quantity = tuple[str, Callable[[Trajectory], np.ndarray]]
 
 _LINE: tuple[Quantity, ...] = (
@@ -62,23 +63,28 @@ def turbine_waves(scenarios: dict[str, Runs]) -> Figure:
     return _waves({name: _of_turbine(scenarios[name]) for name in _TURBINE}, _DEVICE, 6.4)
 
 
-def _of_line(verified: Runs) -> list[Trajectory]:
-    return [run.trajectory.line for run in verified[:2]]
+def _of_line(runs: Runs) -> list[Shown]:
+    return [(run.trajectory.line, _end_s(run)) for run in runs[:2]]
 
 
-def _of_turbine(verified: Runs) -> list[Trajectory]:
-    return [run.trajectory.devices[0] for run in verified[:2]]
+def _of_turbine(runs: Runs) -> list[Shown]:
+    return [(run.trajectory.devices[0], _end_s(run)) for run in runs[:2]]
 
 
-def _waves(columns: dict[str, list[Trajectory]], quantities: tuple[Quantity, ...], height: float) -> Figure:
+def _end_s(run: FarmRun) -> float:
+    """When the first turbine loses synchronism (s)."""
+    return np.inf if run.trajectory.lost_s is None else run.trajectory.lost_s
+
+
+def _waves(columns: dict[str, list[Shown]], quantities: tuple[Quantity, ...], height: float) -> Figure:
     """A column for each scenario, a row for each quantity."""
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     axes = figure.subplots(len(quantities), len(columns), sharex=True, sharey="row", squeeze=False)
     for column, (name, trajectories) in enumerate(columns.items()):
         for row, (label, of) in enumerate(quantities):
-            for trajectory, style in zip(trajectories, (_WITHOUT, _WITH), strict=True):
-                t, values = _until_lost(trajectory, of(trajectory))
-                axes[row, column].plot(t, values, **style)
+            for (trajectory, end_s), style in zip(trajectories, (_WITHOUT, _WITH), strict=True):
+                seen = trajectory.time_s < end_s
+                axes[row, column].plot(trajectory.time_s[seen], of(trajectory)[seen], **style)
             if column == 0:
                 axes[row, column].set_ylabel(label)
             axes[row, column].tick_params(labelsize=7)
@@ -94,14 +100,8 @@ def _near_rest(axes: Axes) -> None:
     values = np.concatenate([line.get_ydata() for line in axes.get_lines()])
     low, high = np.nanpercentile(values, [1.0, 99.0])
     now_low, now_high = axes.get_ylim() if axes.get_autoscaley_on() is False else (low, high)
-    margin = 0.1 * max(high - low, 1e-6)
+    margin = 0.1 * max(high - low, 2e-3 * abs(high))
     axes.set_ylim(min(low - margin, now_low), max(high + margin, now_high))
-
-
-def _until_lost(trajectory: Trajectory, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    end = np.inf if trajectory.lost_s is None else trajectory.lost_s
-    seen = trajectory.time_s < end
-    return trajectory.time_s[seen], values[seen]
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
@@ -116,7 +116,7 @@ def spectra(scenarios: dict[str, Runs]) -> Figure:
     axes = figure.subplots(1, len(names), sharey=True)
     for ax, name in zip(axes, names, strict=True):
         without, damped = (run.trajectory.line for run in scenarios[name][:2])
-        before_s = min(0.6, without.lost_s or np.inf, without.time_s[-1])
+        before_s = min(0.6, _end_s(scenarios[name][0]) - 0.05, without.time_s[-1])
         for trajectory, end_s, style in ((without, before_s, _WITHOUT), (damped, damped.time_s[-1], _WITH)):
             ax.semilogy(*_spectrum(trajectory, end_s), **style)
         ax.set_title(name)
@@ -146,22 +146,21 @@ def grid_side(compared: dict[float, dict[str, FarmRun]]) -> Figure:
     axes = figure.subplots(1, len(compared), sharey=True)
     styles = [
         {"color": "#f2a35c", "lw": 1.6},
-        *({"color": grey, "lw": 1.0, "ls": ls} for grey, ls in zip(("0.7", "0.5", "0.3", "0.0"), _DASHES, strict=True)),
+        *({"color": grey, "lw": 1.0, "ls": ls} for grey, ls in zip(("0.6", "0.35", "0.0"), _DASHES, strict=True)),
         {"color": "#08306b", "lw": 1.6},
     ]
     for ax, (scale, runs) in zip(axes, compared.items(), strict=True):
         for (name, run), style in zip(runs.items(), styles, strict=True):
             line = run.trajectory.line
-            end = np.inf if run.trajectory.lost_s is None else run.trajectory.lost_s
-            seen = line.decision_s < end
+            seen = line.decision_s < _end_s(run)
             ax.semilogy(line.decision_s[seen], 100.0 * line.ratio[seen], label=name, **style)
         ax.set_title(f"SCR {1.8 / scale:.2f}")
         ax.set_xlabel("t (s)")
         ax.axvline(0.28, color="0.8", lw=0.6, zorder=0)
     axes[0].set_ylim(0.03, 300.0)
     axes[0].set_ylabel("r of the line (%)")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=6)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 
 
-_DASHES: tuple[Any, ...] = ((0, (1, 1)), (0, (3, 1)), (0, (6, 1)), "-")
+_DASHES: tuple[Any, ...] = ((0, (1, 1)), (0, (4, 1)), "-")
