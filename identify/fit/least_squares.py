@@ -13,6 +13,7 @@ _STATED = (
     0.3  # a misfit below this part of the stated errors counts no further: what they hold besides noise is no mode
 )
 _FARTHEST = 100.0  # poles further out than so many times the band are a polynomial, to rounding
+_OFF_AXIS = 1e-12  # poles nearer to the axis than this part of themselves are moved away from it
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
@@ -188,10 +189,15 @@ def refine(problem: Problem, trial: Trial, n_iterations: int = 10) -> Trial:
 
 
 def held(problem: Problem, poles: np.ndarray) -> np.ndarray:
-    """The poles where they may be: not so far out that rounding decides, and on the left where the device is stable."""
+    """The poles where they may be: not so far out that rounding decides, and on the left where the device is stable.
+
+    None is on the axis itself, where a row may have its very frequency.
+    """
     far = np.abs(poles) / (_FARTHEST * abs(problem.s[-1]))
     poles = poles / np.maximum(far, 1.0)
-    return -np.abs(poles.real) + 1j * poles.imag if problem.n_unstable == 0 else poles
+    nearest = _OFF_AXIS * np.abs(poles)
+    real = np.where(np.abs(poles.real) < nearest, -nearest, poles.real)
+    return (-np.abs(real) if problem.n_unstable == 0 else real) + 1j * poles.imag
 
 
 def _moved(poles: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.fit.dq_data import to_dq
+from seqsweep.identify.fit.least_squares import held, weighted
 from seqsweep.identify.fit.model import MIN_POINTS, fit_response
+from seqsweep.identify.fit.partial_fractions import basis
 from seqsweep.identify.fit.rational import RationalModel, derivative, evaluate, evaluate_pn, gradient
 from seqsweep.identify.response import FrequencyResponse
 
@@ -222,3 +224,12 @@ def test_scikit_rf_fits_the_same_admittance() -> None:
     theirs = np.array([[fitting.get_model_response(i, j, nu) for j in range(2)] for i in range(2)]).transpose(2, 0, 1)
     difference = np.linalg.norm(theirs - ours, axis=(1, 2)) / np.linalg.norm(ours, axis=(1, 2))
     assert difference.max() < 2e-3
+
+
+def test_a_pole_at_the_frequency_of_a_row_is_moved_off_the_axis() -> None:
+    """There its partial fraction has no value; a relocated pole once came to lie there to the last bit."""
+    problem = weighted(to_dq(circuit(lambda s: 1.0 / (0.05 + s * 1e-3))), 1e-7)
+    moved = held(problem, problem.s[3:4])
+    assert moved.real < 0.0
+    assert moved == pytest.approx(problem.s[3:4], rel=1e-11)
+    assert np.all(np.isfinite(basis(problem.s, moved, 1)))
