@@ -139,21 +139,23 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     covariance = _covariance(model, grid, upper)
     hole = hole_of(model, grid, upper)
     beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
-    carried = ~beyond & _carried(model, upper, covariance)
+    carried = ~beyond & _carried(model, grid.shadows, upper, covariance)
     swept = np.array([is_swept(model, complex(pole)) for pole in upper], dtype=bool)
     grows = upper.real > SURELY * np.sqrt(covariance[:, 0, 0])
     critical, leading = (_resonance(model, upper, ~beyond, named, grows) for named in (carried & swept, carried))
     return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, leading, hole)
 
 
-def _carried(model: RationalModel, poles: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _carried(model: RationalModel, shadows: np.ndarray, poles: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Modes (m,) that the data carry.
 
     Not carried are modes that share a place with one of the device's own, which then is uncontrollable from the
-    terminals and the same on every grid, and modes of which place or damping is hardly known.
+    terminals and the same on every grid, or of a source that was fitted (``shadows``), and modes of which place or
+    damping is hardly known.
     """
     std, std_re = np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.sqrt(covariance[:, 0, 0])
-    apart = np.abs(poles[:, None] - model.poles) / np.maximum(np.abs(model.poles.real), 1e-300)
+    own = np.concatenate([model.poles, shadows])
+    apart = np.abs(poles[:, None] - own) / np.maximum(np.abs(own.real), 1e-300)
     vague = model.poles[model.pole_std.real > _VAGUE * np.abs(model.poles.real)]  # a row or two hold them up
     beside = np.abs(poles[:, None] - vague) < _BESIDE * np.abs(poles)[:, None]
     damped = std_re < np.maximum(_DAMPED * np.abs(poles.real), _NEAR_AXIS * np.abs(poles))

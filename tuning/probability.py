@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate, spread
+from .grids.response import ResponseGrid
 from .poles import ClosedLoop
 from .siso import Grid
 from .winding import det
@@ -68,8 +69,7 @@ def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.nd
     By the delta method: det M moves by tr(adj(M) dM), M = 1 + Y Z. Near a lightly damped mode it is Re/std of its
     pole, but unlike that it stays well defined where poles crowd and only their combinations are known.
     """
-    s = 2j * np.pi * nu_hz
-    loop = np.eye(2) + evaluate(model, s) @ grid.impedance_dq(s)
+    loop = _matrix(model, grid, 2j * np.pi * nu_hz)
     errors = np.concatenate(locus_errors(model, grid, nu_hz), axis=1)
     real, imag = errors.real, errors.imag
     value = det(loop)
@@ -81,13 +81,25 @@ def locus_distance(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> np.nd
 
 
 def locus_errors(model: RationalModel, grid: Grid, nu_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What errors of unit variance of device (n, k) and grid (n, j) do to det(1 + Y Z): tr(adj(M)(dY Z + Y dZ))."""
+    """What errors of unit variance of device (n, k) and grid (n, j) do to the locus: tr(adj(M) dM)."""
     s = 2j * np.pi * nu_hz
-    y, z = evaluate(model, s), grid.impedance_dq(s)
-    loop = np.eye(2) + y @ z
+    loop = _matrix(model, grid, s)
     adjugate = np.stack([loop[:, 1, 1], -loop[:, 0, 1], -loop[:, 1, 0], loop[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    if isinstance(grid, ResponseGrid):
+        turned = np.swapaxes(adjugate, 1, 2)
+        return spread(model, s, turned), grid.spread_admittance(s, turned)
+    y, z = evaluate(model, s), grid.impedance_dq(s)
     by_device = spread(model, s, np.swapaxes(z @ adjugate, 1, 2))
     return by_device, grid.spread_dq(s, np.swapaxes(adjugate @ y, 1, 2))
+
+
+def _matrix(model: RationalModel, grid: Grid, s: np.ndarray) -> np.ndarray:
+    """M = 1 + Y Z (n, 2, 2), whose determinant is the locus; Ys + Y of a source whose admittance was measured.
+
+    Its impedance may be infinite on the axis, and its errors as well: det(Ys + Y) is what is counted.
+    """
+    y = evaluate(model, s)
+    return y + grid.admittance_dq(s) if isinstance(grid, ResponseGrid) else np.eye(2) + y @ grid.impedance_dq(s)
 
 
 def _normal(x: float) -> float:

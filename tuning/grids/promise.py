@@ -38,6 +38,8 @@ class Grid(Protocol):
         Which of them lie on the imaginary axis: their angular frequency (rad/s, dq), not negative.
     rows_hz : (r,) float or None
         Frequencies above zero at which the grid was measured (Hz); None if it is known everywhere.
+    shadows : (q,) complex
+        Where a mode of device and grid may stand that is none (rad/s, dq): it is not seen from the PCC.
     """
 
     @property
@@ -56,6 +58,8 @@ class Grid(Protocol):
     def axis_poles(self) -> np.ndarray: ...
     @property
     def rows_hz(self) -> np.ndarray | None: ...
+    @property
+    def shadows(self) -> np.ndarray: ...
 
     def impedance_dq(self, s: np.ndarray) -> np.ndarray:
         """Zdq (n, 2, 2) in ohm at complex ``s`` (n,) in rad/s, dq frame."""
@@ -115,6 +119,7 @@ class OnePort:
 
     couples = False
     rows_hz: np.ndarray | None = None
+    shadows: np.ndarray = np.zeros(0, dtype=complex)
 
     f1_hz: float
 

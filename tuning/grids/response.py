@@ -83,6 +83,19 @@ class ResponseGrid:
         """Ys^-1."""
         return self.scale * np.linalg.inv(evaluate(self.model, s))
 
+    def admittance_dq(self, s: np.ndarray) -> np.ndarray:
+        """Ys (n, 2, 2) in S: what was measured, finite where Z is not, as of a line with a series capacitor at 0 Hz."""
+        return evaluate(self.model, s) / self.scale
+
+    def spread_admittance(self, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """What the errors of Ys, each of unit variance, do to sum_ij weight_ij Ys_ij(s): (n, k) complex."""
+        return spread(self.model, np.atleast_1d(s), weight / self.scale)
+
+    @property
+    def shadows(self) -> np.ndarray:
+        """Poles of Ys: where its fit has a state more than the source, a mode stands on them that is none."""
+        return self.model.poles
+
     def slope_dq(self, s: np.ndarray) -> np.ndarray:
         """-Ys^-1 Ys' Ys^-1."""
         s = np.atleast_1d(np.asarray(s, dtype=complex))

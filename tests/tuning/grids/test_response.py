@@ -12,6 +12,7 @@ import pytest
 from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.write import write_table
+from seqsweep.tuning.grids.elements import elements_grid
 from seqsweep.tuning.grids.open import open_grid
 from seqsweep.tuning.grids.response import ResponseGrid
 from seqsweep.tuning.grids.series import SeriesRL
@@ -69,6 +70,29 @@ def truth(scale: float) -> np.ndarray:
 def source(scale: float, noise: float, rng: np.random.Generator) -> ResponseGrid:
     s = 2j * np.pi * NU
     return ResponseGrid(fit_response(measured(of_line(s, scale) + of_turbine(SECOND, s), noise, rng)), "farm")
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("x_c", [0.0, 0.1])
+def test_a_measured_line_names_the_resonance_that_the_line_has(x_c: float, noise: float) -> None:
+    """Of 0.012 + 0.25j ohm, with and without a series capacitor: nothing at 0/100 Hz, and the verdict is given.
+
+    Ys has poles there, of which a fit may see one too many, and a capacitor makes it vanish at 0 Hz.
+    """
+    rng, s = np.random.default_rng(3), 2j * np.pi * NU
+
+    def z(phase: np.ndarray) -> np.ndarray:
+        return 0.012 + phase * 0.25 / W1 + x_c * W1 / phase
+
+    z1, z2 = z(s + 1j * W1), z(s - 1j * W1)
+    z_dq = ((z1 + z2) / 2.0)[:, None, None] * np.eye(2) + ((z1 - z2) / 2j)[:, None, None] * J
+    line = ResponseGrid(fit_response(measured(np.linalg.inv(z_dq), noise, rng)), "line")
+    elements = [{"kind": "series", "r_ohm": 0.012, "x_ohm": 0.25}, {"kind": "series_capacitor", "x_ohm": x_c}]
+    exact = elements_grid({"element": elements[: 2 if x_c else 1]}, F1_HZ)
+    device = fit_response(measured(of_turbine(FIRST, s), 0.0, rng))
+    of_table, of_elements = judge(device, line), judge(device, exact)
+    assert of_table.verdict == of_elements.verdict == "stable"
+    assert of_table.closed_loop.resonance_hz == pytest.approx(of_elements.closed_loop.resonance_hz, abs=0.01)
 
 
 @pytest.mark.parametrize("scale", [0.6, 0.75, 0.8, 1.2])
