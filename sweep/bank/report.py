@@ -140,6 +140,6 @@ def _warnings(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
 def _failures(verdicts: Sequence[PairVerdict]) -> Iterator[str]:
     failed = list({v.grid_id: v for v in verdicts if v.status != "ok"}.values())
     for v in failed[:5]:
-        yield f"{v.grid_id}: {v.reason}"
+        yield v.reason if v.grid_id in v.reason.partition(": ")[0] else f"{v.grid_id}: {v.reason}"
     if len(failed) > 5:
         yield f"... and {len(failed) - 5} more grids that could not be read"

@@ -64,6 +64,10 @@ def open_file(text: str, f1_hz: float) -> Grid | RegionGrid:
     path = Path(name)
     if not path.exists():
         raise GridError(f"{path}: no such file")
+    if path.is_dir():
+        raise GridError(
+            f"{path} is a folder, and one grid is needed: give one of its files, or all of them to judge --grids"
+        )
     if path.suffix.lower() == ".toml":
         return grid_of_document(read_document(path), f1_hz, path.stem, str(path))
     if path.suffix.lower() == ".parquet":

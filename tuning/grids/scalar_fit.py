@@ -35,6 +35,7 @@ NOISE_FREE = 1e-8
 
 _EXACT = 1e-13  # misfit of rows without noise below which nothing counts
 _ROUNDED = 5e-7  # the same for others, as a part of |z|: the last digits of a table are no resonances
+_ASKED = 25.0  # square of the standard errors that a capacitor's pole has to show
 _SPARE = 4  # rows beyond the parameters that make a small misfit mean something
 _MOST_TERMS = 250  # of the interpolant of a closed form: 300 km of cable with all their resonances take 100
 _IDLE = 1e-9  # part of |z| by which a closed form misses none of its real poles: they are rounding
@@ -105,7 +106,7 @@ def fit_impedance(
     if trial is None:
         rows = rows._replace(floor=_ROUNDED * float(np.median(rows.weight * size)))
         trial = _supported(rows, _pruned(rows, _settled(rows, _grown(rows, size))), size)
-    trial = _settled(rows, trial)
+    trial = _settled(rows, _with_capacitor_if_told(rows, trial, size))
     return _finished(rows, trial, f1_hz, name, size, std is not None)
 
 
@@ -264,6 +265,19 @@ def _without_idle(rows: _Rows, trial: _Trial) -> _Trial:
         tried = _solved(rows, trial.poles[trial.poles != pole], trial.at_zero)
         trial = tried if tried.rms < max(_IDLE, trial.rms) else trial
     return trial
+
+
+def _with_capacitor_if_told(rows: _Rows, trial: _Trial, size: np.ndarray) -> _Trial:
+    """The trial, without the pole at zero where it explains no more than last digits, or than noise may ask for.
+
+    Far from zero it hardly shows, and on the axis it would make a mode that the grid has not.
+    """
+    if not trial.at_zero:
+        return trial
+    without = _moved(rows, trial.poles, False)
+    lost = without.rms**2 - trial.rms**2
+    asked = lost > _ASKED * max(trial.rms, rows.floor) ** 2 / len(trial.misfit)
+    return trial if asked and without.rms > _ROUNDED * float(np.median(rows.weight * size)) else without
 
 
 def _significant(rows: _Rows, trial: _Trial, size: np.ndarray) -> np.ndarray:

@@ -253,7 +253,7 @@ def _ordered(table: ZTable, name: str) -> ZTable:
     once = np.setdiff1d(np.arange(len(f)), again + 1)
     notes = table.notes
     if len(again):
-        notes = (*notes, f"{len(again)} rows were there twice and count once")
+        notes = (*notes, _twice(len(again)))
     if (lost := int(np.sum(~good))) > 0:
         notes = (*notes, f"{lost} rows without a finite impedance or at zero frequency were left out")
     if len(once) < MIN_ROWS:
@@ -263,3 +263,7 @@ def _ordered(table: ZTable, name: str) -> ZTable:
 
 def _relative(table: ZTable) -> float:
     return 0.0 if table.std is None else float(np.sqrt(np.mean((table.std / np.abs(table.z)) ** 2)))
+
+
+def _twice(n: int) -> str:
+    return "one row was there twice and counts once" if n == 1 else f"{n} rows were there twice and count once"

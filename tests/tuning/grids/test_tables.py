@@ -217,3 +217,14 @@ def test_the_last_digits_of_a_table_are_no_resonances(digits: int) -> None:
         assert np.any(grid.poles == 0.0)
         light = grid.poles[(np.abs(grid.poles.real) < 1e-3 * np.abs(grid.poles)) & (grid.poles != 0.0)]
         assert len(light) == 0
+
+
+@pytest.mark.parametrize(
+    ("lowest_hz", "x_c", "digits"), [(1.0, 0.0, 5), (100.0, 0.0, 8), (100.0, 0.1, 8), (1.0, 0.003, 5)]
+)
+def test_a_pole_at_zero_is_a_capacitor_s_and_not_of_the_last_digits(lowest_hz: float, x_c: float, digits: int) -> None:
+    """0.012 + 0.25j ohm in so many digits, also where the scan begins far above 0 Hz."""
+    f = np.geomspace(lowest_hz, 2500.0, 40)
+    z = 0.012 + 1j * (0.25 * f / 50.0 - x_c * 50.0 / f)
+    rounded = np.array([complex(float(f"{v.real:.{digits}g}"), float(f"{v.imag:.{digits}g}")) for v in z])
+    assert bool(np.any(fit_impedance(f, rounded, 50.0).phase_modes == 0.0)) == (x_c > 0.0)
