@@ -117,7 +117,7 @@ def read_bank(path: str | Path, device: Path | None = None) -> Bank:
     """
     path = Path(path)
     if not path.exists():
-        raise GridError(f"{path}: no such file or folder")
+        raise GridError(f"{path}: no such file or folder; one R + jX is judged by tune --grid")
     bank = _of_folder(path, device) if path.is_dir() else Bank(_of_file(path, str(path)))
     if not bank.entries:
         others = "".join(f"; {remark}" for remark in bank.remarks)

@@ -274,7 +274,7 @@ def _with_capacitor_if_told(rows: _Rows, trial: _Trial, size: np.ndarray) -> _Tr
     """
     if not trial.at_zero:
         return trial
-    without = _moved(rows, trial.poles, False)
+    without = _solved(rows, trial.poles, False)  # the others where they are: a real one near zero would do instead
     lost = without.rms**2 - trial.rms**2
     asked = lost > _ASKED * max(trial.rms, rows.floor) ** 2 / len(trial.misfit)
     return trial if asked and without.rms > _ROUNDED * float(np.median(rows.weight * size)) else without
