@@ -144,7 +144,7 @@ def test_the_command_writes_rows_as_documented_and_a_picture_and_tells_a_bad_gri
 @pytest.mark.parametrize(
     ("file", "words"),
     [
-        ("campaign.toml", "is a campaign, not a grid"),
+        ("campaign.toml", "is a campaign, and seqsweep judge --grids needs a grid"),
         ("farm.toml", "is the network of a farm"),
         ("negative.toml", "not negative"),
     ],
