@@ -102,13 +102,15 @@ def _certificate(
     off = np.array([found[k].off for found in ours])
     met = bool(np.all(sweeps <= limit) and np.all(off <= tolerance))
     what = f"{case.axes}: certified to {100 * tolerance:g} %, rows' noise {noise:g}"
-    told, rival = _sweeps(sweeps, off), _sweeps(*np.array([found[k] for found in theirs]).T)
+    told, rival = _sweeps(sweeps, off), _sweeps(*np.array([found[k] for found in theirs]).reshape(-1, 2).T)
     return Row(what, f"{len(ours)} designs", told, rival, f"<= {limit} sweeps, error <= {100 * tolerance:g} %", met)
 
 
 def _sweeps(sweeps: np.ndarray, off: np.ndarray) -> str:
     """Median and most sweeps, the largest true error; and how many designs were given up."""
     done = np.isfinite(sweeps)
+    if len(sweeps) == 0:
+        return ""
     if not done.any():
         return f"not within {MOST} sweeps"
     given_up = f", {np.sum(~done)} not within {MOST}" if not done.all() else ""
@@ -172,6 +174,8 @@ def _covered(noise: float, build: str, seed: int) -> Covered:
 
 
 def _shares(held: np.ndarray) -> str:
+    if len(held) == 0:
+        return ""
     low = int(np.sum(held < LEAST_COVERED))
     return f"{100 * held.mean():.1f} %, least {100 * held.min():.1f} %, {low} below {100 * LEAST_COVERED:g} %"
 
@@ -191,6 +195,8 @@ def judged(pool: Executor, seed: int, pairs: int, rivals: int) -> list[Row]:
 
 
 def _verdicts(said: Sequence[verdicts.Judged]) -> str:
+    if not said:
+        return ""
     wrong = sum(one.wrong for one in said)
     certain = sum(one.wrong and one.certain for one in said)
     undecided = sum(one.undecided for one in said)
@@ -201,12 +207,16 @@ def modes(pool: Executor, seed: int, grids: int, rivals: int) -> list[Row]:
     """Distance of the critical mode from the exact one, on grids that were not seen, from 20 sweeps."""
     n = max(grids // verdicts.PAIRS, 1)
     one = partial(verdicts.modes, ROW_NOISE)
-    ours = np.concatenate(list(pool.map(partial(one, "ours"), range(seed, seed + n))))
-    theirs = np.concatenate(list(pool.map(partial(one, "rival"), range(seed, seed + min(n, rivals)))))
+    ours = np.ravel(list(pool.map(partial(one, "ours"), range(seed, seed + n))))
+    theirs = np.ravel(list(pool.map(partial(one, "rival"), range(seed, seed + min(n, rivals)))))
     what = f"critical mode from {verdicts.SWEEPS} sweeps, rows' noise {ROW_NOISE:g}"
     limit = verdicts.NEAR_RAD_S
-    told, rival = (f"median {np.median(off):.2g}, at most {off.max():.2g} rad/s" for off in (ours, theirs))
+    told, rival = _distances(ours), _distances(theirs)
     return [Row(what, f"{len(ours)} grids", told, rival, f"<= {limit:g} rad/s", bool(ours.max() <= limit))]
+
+
+def _distances(off: np.ndarray) -> str:
+    return f"median {np.median(off):.2g}, at most {off.max():.2g} rad/s" if len(off) else ""
 
 
 def worst(pool: Executor, seed: int, designs: int, rivals: int) -> list[Row]:

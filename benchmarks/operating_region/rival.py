@@ -44,7 +44,9 @@ class Processes:
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Y (p, f, 4) at points (p, d) of the unit box, and the radius of its 95 % region relative to the norm."""
-        told = [regressor.predict(x, return_std=True) for regressor in self.regressors]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of variances that rounding made negative
+            told = [regressor.predict(x, return_std=True) for regressor in self.regressors]
         mean, deviation = (np.stack(parts, axis=1) * self.size[:, None] for parts in zip(*told, strict=True))
         y = self.middle + mean[..., :ELEMENTS] + 1j * mean[..., ELEMENTS:]
         return y, _RADIUS * np.sqrt((deviation**2).mean(axis=2)) / np.linalg.norm(y, axis=2)

@@ -4,7 +4,8 @@ Three things are added in squares, each relative to ||Y||:
 
 * what the sweeps themselves show. Left out, sweep j is missed by e_j at a leverage h_j / (1 - h_j); a point x with the
   leverage h(x) is therefore missed by about ``sqrt(mean(|e_j|^2 (1 - h_j) / h_j) h(x))``, the mean taken over the
-  sweeps and over neighbouring frequencies;
+  sweeps and over neighbouring frequencies. To that comes what the model lacks at x itself, about as much as at the
+  sweeps: ``mean(|e_j|^2 (1 - h_j))``;
 * the rows' own noise, where the table states it, carried to x by the same leverage; it replaces the first where it is
   larger, because a mean over few sweeps may be small by luck;
 * the spread of the rivals: models of other products that describe the sweeps nearly as well.
@@ -22,7 +23,9 @@ import numpy as np
 from .sparse_rational import ELEMENTS, Data, Fitted, Prediction, moving_mean
 
 _GROUPS = 4.0  # independent real numbers per free sweep: two, in about two independent groups of pooled frequencies
-_EXPLAINED = 1.5  # errors up to this multiple of the stated variance are noise
+_EXPLAINED, _LACKING = 1.5, 2.0
+"""Multiples of the stated variance: errors below the first are noise, those from the second on are the model's."""
+
 _LEAST_LEVERAGE = 0.02  # a leverage below is as good as none; it keeps the quotient of two small numbers bounded
 
 
@@ -33,11 +36,14 @@ class Certainty(NamedTuple):
     ----------
     variance : (f,) float
         Variance over all four elements, relative to ||Y||^2, at a leverage of one.
+    lacking : (f,) float
+        That of what the model lacks anywhere, whatever the leverage.
     factor : (f,) float
         Radius of a 95 % region in standard errors.
     """
 
     variance: np.ndarray
+    lacking: np.ndarray
     factor: np.ndarray
 
 
@@ -65,13 +71,14 @@ def certainty(fitted: Fitted, data: Data, noise: np.ndarray | None) -> Certainty
     free = data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
     unsure = _quantile(2.0, _GROUPS * max(free, 0.5))
     missed = moving_mean((squared / h).sum(axis=1) / count)
-    if noise is None:
-        return Certainty(missed, np.full(len(missed), unsure))
-    stated = moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
     found = np.maximum(moving_mean(squared.sum(axis=1) / count), 1e-300)
-    share = np.clip(_EXPLAINED * stated / found, 0.0, 1.0)
+    if noise is None:
+        return Certainty(missed, found, np.full(len(missed), unsure))
+    stated = moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
+    share = np.clip((_LACKING * stated - found) / np.maximum((_LACKING - _EXPLAINED) * stated, 1e-300), 0.0, 1.0)
     variance = np.maximum(stated, (1.0 - share) * missed + share * stated)
-    return Certainty(variance, share * _quantile(ELEMENTS, 1e6) + (1.0 - share) * unsure)
+    factor = share * _quantile(ELEMENTS, 1e6) + (1.0 - share) * unsure
+    return Certainty(variance, (1.0 - share) * found, factor)
 
 
 def _quantile(numerator: float, denominator: float) -> float:
@@ -96,4 +103,4 @@ def relative_error(
         apart = np.sum(np.abs(rival.y - prediction.y) ** 2, axis=2) / size**2
         noise = sure.variance * np.abs(rival.leverage - prediction.leverage)
         spread += np.maximum(apart - noise, 0.0) / max(ratio, 1.0) ** 2 / len(rivals)
-    return sure.factor * np.sqrt(sure.variance * prediction.leverage + spread)
+    return sure.factor * np.sqrt(sure.variance * prediction.leverage + sure.lacking + spread)
