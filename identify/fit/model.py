@@ -24,6 +24,7 @@ first, and each counts once. Where nothing is known, those that are left stay. W
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,6 +90,31 @@ def fit_response(
     poles, residues eliminated), which also gives the covariance. The noise level is estimated from the misfit, so
     a covariance that is too small by a factor does no harm.
     """
+    settled = settled_response(
+        response, max_order=max_order, noise_floor=noise_floor, start=start, n_unstable=n_unstable
+    )
+    return finished(*settled)
+
+
+class Settled(NamedTuple):
+    """Poles that the data of a table ask for, before errors are told: what `finished` makes a model of."""
+
+    problem: Problem
+    f1_hz: float
+    trial: Trial
+    notes: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def settled_response(
+    response: FrequencyResponse,
+    *,
+    max_order: int = MAX_ORDER,
+    noise_floor: float = 1e-7,
+    start: RationalModel | None = None,
+    n_unstable: int | None = None,
+) -> Settled:
+    """`fit_response` up to the choice of the poles."""
     data = to_dq(response)
     if len(data.nu_hz) < MIN_POINTS:
         raise SeqsweepError(
@@ -96,7 +122,7 @@ def fit_response(
             "sweep more frequencies, or repair the rows whose status is not 'ok'"
         )
     known = _proved(response) if n_unstable is None else n_unstable
-    return fit_rows(data, response.f1_hz, max_order=max_order, noise_floor=noise_floor, start=start, n_unstable=known)
+    return _settled(data, response.f1_hz, max_order, noise_floor, start, known)
 
 
 def fit_rows(
@@ -109,6 +135,12 @@ def fit_rows(
     n_unstable: int | None = None,
 ) -> RationalModel:
     """`fit_response` of rows that are in the dq frame already; ``n_unstable`` None: whatever fits."""
+    return finished(*_settled(data, f1_hz, max_order, noise_floor, start, n_unstable))
+
+
+def _settled(
+    data: DqData, f1_hz: float, max_order: int, noise_floor: float, start: RationalModel | None, n_unstable: int | None
+) -> Settled:
     problem = weighted(data, noise_floor)._replace(n_unstable=n_unstable)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
     trial = select_order(problem, max_order, start)
@@ -126,7 +158,7 @@ def fit_rows(
     trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_instability(problem, trial)
-    return finished(problem, f1_hz, trial, outlying + notes, removed + mirrored)
+    return Settled(problem, f1_hz, trial, outlying + notes, removed + mirrored)
 
 
 def _proved(response: FrequencyResponse) -> int | None:

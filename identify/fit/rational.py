@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,6 +66,8 @@ class RationalModel:
         What the reader of a result should know: rows that were left out, an instability of the device's own.
     remarks : tuple of str
         What was decided on the way and asks for nothing: faint poles left out, signs that the data leave open.
+    shared_rival : bool
+        Whether the difference to the rival is one error with that of other tables (`identify.fit.pooled`).
     """
 
     f1_hz: float
@@ -86,6 +89,7 @@ class RationalModel:
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    shared_rival: bool = False
 
     @property
     def order(self) -> int:
@@ -168,6 +172,17 @@ def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarra
         return np.append(by_noise, np.zeros((len(s), 1)), axis=1)
     by_order = np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
     return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
+
+
+def joint(models: Sequence[RationalModel], errors: Sequence[np.ndarray]) -> np.ndarray:
+    """Errors (..., k) of what several tables make together, of `spread` of each: a shared rival's are one error."""
+    own = [np.where(_last(e) & model.shared_rival, 0.0, e) for model, e in zip(models, errors, strict=True)]
+    common = sum(e[..., -1:] for model, e in zip(models, errors, strict=True) if model.shared_rival)
+    return np.concatenate(own if isinstance(common, int) else [*own, common], axis=-1)
+
+
+def _last(errors: np.ndarray) -> np.ndarray:
+    return np.arange(errors.shape[-1]) == errors.shape[-1] - 1
 
 
 def with_errors(model: RationalModel, s: np.ndarray, errors: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...identify.fit.rational import gradient, row_shares, spread
+from ...identify.fit.rational import gradient, joint, row_shares, spread
 from .participation import null_vectors, table_weights
 from .system import System
 
@@ -20,7 +20,8 @@ class Doubt:
     std : float
         Standard error of the real part (1/s).
     by_table : mapping of str to float
-        Part of the variance by table and operating point, adding up to one; the largest first.
+        Part of the variance by table and operating point, adding up to one; the largest first. What several tables have
+        in common counts for each by its own size.
     rows_hz : tuple of (float, float)
         Bands |f - f1| (Hz) of the heaviest rows of the first table, the heaviest first.
     by_order : float
@@ -51,7 +52,8 @@ def doubt_of(system: System, pole: complex) -> Doubt:
     first = next(iter(ranked))
     by_order = float(errors[first][-1].real ** 2) / max(variance[first], 1e-300)
     slope = gradient(models[first], np.array([pole]), weights[first][None])[0].real
-    return Doubt(float(np.sqrt(total)), ranked, _bands(models[first].nu_hz, row_shares(models[first], slope)), by_order)
+    together = joint([models[key] for key in errors], list(errors.values()))
+    return Doubt(float(np.linalg.norm(together.real)), ranked, _bands(models[first].nu_hz, row_shares(models[first], slope)), by_order)
 
 
 def _bands(nu_hz: np.ndarray, share: np.ndarray) -> tuple[tuple[float, float], ...]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identify.fit.rational import spread
+from ...identify.fit.rational import joint, spread
 from ...identify.frames import dq_to_pn
 from ..crossings import Crossing, bode_crossings, critical_crossing
 from ..siso import SeriesRL, impedance_pn, siso
@@ -46,12 +46,10 @@ def margin_at_source(farm: Farm) -> Margin | None:
     slope = (_ratio(farm, f + h) - _ratio(farm, f - h)) / (2.0 * h)
     models = {unit.key: unit.model for unit in farm.system.units}
     s = np.array([2j * np.pi * (f - farm.entry.f1_hz)])
-    variance = 0.0
-    for key, model in models.items():
-        errors = spread(model, s, _weight(farm, f, key)[None])[0]
-        moved = errors.real - slope.real / slope.imag * errors.imag
-        variance += float(np.sum(moved**2))
-    return Margin(crossing, crossing.m**2 * float(np.sqrt(variance)))
+    each = [spread(model, s, _weight(farm, f, key)[None])[0] for key, model in models.items()]
+    errors = joint(list(models.values()), each)
+    moved = errors.real - slope.real / slope.imag * errors.imag
+    return Margin(crossing, crossing.m**2 * float(np.linalg.norm(moved)))
 
 
 def source_grid(farm: Farm) -> SeriesRL:

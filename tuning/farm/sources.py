@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from ...identify.fit.model import fit_response
-from ...identify.fit.rational import RationalModel, spread
+from ...identify.fit.rational import RationalModel, joint, spread
 from ..poles import EDGE, RESONANCE_FROM_HZ, closed_loop_poles
 from ..siso import SeriesRL
 from ..winding import about
@@ -214,8 +214,8 @@ def _errors(farm: Farm, tree: Tree, z_ohm: np.ndarray, poles: np.ndarray) -> np.
         r = np.einsum("nij,nj->ni", to_dq(seen.right[unit.bus]), right) @ unit.turn
         weight = -unit.factor * l[:, :, None] * r[:, None, :] / slope[:, None, None]
         weights[unit.key] = weights.get(unit.key, 0.0) + weight
-    variance = sum(np.sum(spread(models[key], s, weight).real ** 2, axis=1) for key, weight in weights.items())
-    std[there] = np.sqrt(variance)
+    errors = [spread(models[key], s, weight) for key, weight in weights.items()]
+    std[there] = np.linalg.norm(joint([models[key] for key in weights], errors).real, axis=1)
     return std
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...identify.fit.dq_data import to_dq
 from ...identify.fit.model import fit_response
+from ...identify.fit.pooled import Pool, Wanted
 from ...identify.fit.rational import RationalModel
 from ...identify.response import FrequencyResponse
 from ...identify.surrogate.store import surrogate_of
@@ -47,7 +48,8 @@ class Library:
     def __init__(self, read: ReadTable):
         self.table: ReadTable = cache(read)
         self._surrogates: dict[str, Surrogate] = {}
-        self._fits: dict[str, tuple[RationalModel, int | None]] = {}
+        self._anchors: dict[str, int | None] = {}
+        self._pool = Pool()
 
     def surrogate(self, name: str) -> Surrogate:
         """The surrogate of a table."""
@@ -55,11 +57,22 @@ class Library:
             self._surrogates[name] = surrogate_of(self.table(name))
         return self._surrogates[name]
 
-    def fitted(self, key: str, response: FrequencyResponse) -> tuple[RationalModel, int | None]:
-        """Model of a response, and how many unstable modes its device has by itself; None if nothing was proved."""
-        if key not in self._fits:
-            self._fits[key] = fitted(response)
-        return self._fits[key]
+    def fitted(self, responses: Mapping[str, FrequencyResponse]) -> dict[str, tuple[RationalModel, int | None]]:
+        """Models of the responses of one farm, and how many unstable modes each device has by itself, or None.
+
+        Rows that were measured are fitted together, as noise that hides a mode in one table does not in many; what a
+        surrogate predicts has no noise that could be averaged.
+        """
+        for key, response in responses.items():
+            if key not in self._anchors:
+                self._anchors[key] = own_unstable(response)
+        wanted = {key: Wanted(response, self._anchors[key]) for key, response in responses.items()}
+        measured = {key: each for key, each in wanted.items() if not each.response.meta.get("surrogate")}
+        models = self._pool.models(measured)
+        for key, each in wanted.items():
+            if key not in measured:
+                models |= self._pool.models({key: each})
+        return {key: (models[key], self._anchors[key]) for key in responses}
 
 
 def library_of(read: ReadTable | Library) -> Library:
@@ -150,8 +163,10 @@ def units_of(farm: FarmEntry, read: ReadTable | Library) -> tuple[tuple[Unit, ..
     library = library_of(read)
     sources = [_source(entry, library, farm) for entry in farm.devices]
     flow = load_flow(farm, lambda v: _drawn(farm, sources, v))
-    pairs = zip(farm.devices, sources, flow.voltage_v, flow.power_va, strict=True)
-    return tuple(_unit(library, *pair) for pair in pairs), flow
+    there = [_response_at(*pair) for pair in zip(farm.devices, sources, np.abs(flow.voltage_v), strict=True)]
+    fits = library.fitted({key: response for response, key in there})
+    parts = zip(farm.devices, sources, there, flow.voltage_v, flow.power_va, strict=True)
+    return tuple(_unit(fits, *part) for part in parts), flow
 
 
 def flow_of(farm: FarmEntry, library: Library) -> LoadFlow:
@@ -160,9 +175,16 @@ def flow_of(farm: FarmEntry, library: Library) -> LoadFlow:
     return load_flow(farm, lambda v: _drawn(farm, sources, v))
 
 
-def _unit(library: Library, entry: DeviceEntry, source: Source, voltage_v: complex, power_va: complex) -> Unit:
-    response, key = _response_at(entry, source, abs(voltage_v))
-    model, n_unstable = library.fitted(key, response)
+def _unit(
+    fits: Mapping[str, tuple[RationalModel, int | None]],
+    entry: DeviceEntry,
+    source: Source,
+    there: tuple[FrequencyResponse, str],
+    voltage_v: complex,
+    power_va: complex,
+) -> Unit:
+    response, key = there
+    model, n_unstable = fits[key]
     return Unit(
         name=entry.name,
         bus=entry.bus,
@@ -268,8 +290,13 @@ def _response_at(entry: DeviceEntry, source: Source, voltage_v: float) -> tuple[
 
 def fitted(response: FrequencyResponse) -> tuple[RationalModel, int | None]:
     """Model of a response and the number of its device's own unstable modes, None if nothing was proved."""
-    anchor = anchor_of(response.meta, rows_of(to_dq(response)), response.f1_hz)
-    return fit_response(response, n_unstable=anchor.n_unstable), anchor.n_unstable
+    n_unstable = own_unstable(response)
+    return fit_response(response, n_unstable=n_unstable), n_unstable
+
+
+def own_unstable(response: FrequencyResponse) -> int | None:
+    """How many unstable modes a response's device has by itself; None if nothing was proved."""
+    return anchor_of(response.meta, rows_of(to_dq(response)), response.f1_hz).n_unstable
 
 
 def _off(response: FrequencyResponse, source: Source, voltage_v: float) -> float:
