@@ -53,7 +53,8 @@ def doubt_of(system: System, pole: complex) -> Doubt:
     by_order = float(errors[first][-1].real ** 2) / max(variance[first], 1e-300)
     slope = gradient(models[first], np.array([pole]), weights[first][None])[0].real
     together = joint([models[key] for key in errors], list(errors.values()))
-    return Doubt(float(np.linalg.norm(together.real)), ranked, _bands(models[first].nu_hz, row_shares(models[first], slope)), by_order)
+    rows = _bands(models[first].nu_hz, row_shares(models[first], slope))
+    return Doubt(float(np.linalg.norm(together.real)), ranked, rows, by_order)
 
 
 def _bands(nu_hz: np.ndarray, share: np.ndarray) -> tuple[tuple[float, float], ...]:
