@@ -20,9 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .branches import GROUND
 from .dynamics import Dynamics, Finite, dynamics_of
@@ -181,7 +182,8 @@ def split(
     rates = _scaled_rows(rates_of(dynamics, outputs), factors, n_dampers)[:, 2 * n :]
     extra = np.concatenate([rates[r] for r in (layout.damper_rows, layout.watched_rows)])
     seen = layout.in_lanes(rates[layout.seen_rows].transpose(0, 2, 1)).transpose(1, 0, 2)
-    return Split(local, Coupled(*coupled, extra, np.ascontiguousarray(seen), scaled.turn), basis, inverse, own, rest)
+    exchanged: list[Any] = [*coupled, extra, np.ascontiguousarray(seen), scaled.turn]
+    return Split(local, Coupled(*exchanged), basis, inverse, own, rest)
 
 
 # ---------------------------------------------------------------------- coordinates
@@ -307,12 +309,12 @@ def _framed(dynamics: Dynamics, frame: str) -> Dynamics:
     return replace(dynamics, frame="stationary", finite=pairs)
 
 
-def _picked(matrix: np.ndarray, rows: Sequence[int], columns: Sequence[int]) -> np.ndarray:
+def _picked(matrix: np.ndarray, rows: ArrayLike, columns: ArrayLike) -> np.ndarray:
     """Rows and columns of a matrix; zero where a number is negative."""
-    rows, columns = np.asarray(rows), np.asarray(columns)
-    found = np.zeros((len(rows), len(columns)))
-    inside = np.ix_(rows >= 0, columns >= 0)
-    found[inside] = matrix[np.ix_(rows[rows >= 0], columns[columns >= 0])]
+    down, across = np.asarray(rows), np.asarray(columns)
+    found = np.zeros((len(down), len(across)))
+    inside = np.ix_(down >= 0, across >= 0)
+    found[inside] = matrix[np.ix_(down[down >= 0], across[across >= 0])]
     return found
 
 
