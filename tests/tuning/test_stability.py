@@ -131,7 +131,10 @@ def test_verdict_is_never_wrong_under_noise() -> None:
 
 @pytest.mark.evidence
 def test_verdicts_of_500_near_critical_cases() -> None:
-    """The figures of docs/verdict-figures.md: verdicts and pole errors, noise-free, with 0.1 % and with 1 % noise."""
+    """The figures of docs/verdict-figures.md: verdicts and pole errors, noise-free, with 0.1 % and with 1 % noise.
+
+    On strong grids, where a slow mode is near the axis, the resonance is the device's own, and is not named.
+    """
     rng = np.random.default_rng(11)
     cases = [near_critical(rng) for _ in range(500)]
     for noise in (0.0, 1e-3, 1e-2):
@@ -139,10 +142,13 @@ def test_verdicts_of_500_near_critical_cases() -> None:
         right = sum(s.verdict == at.truth for s, at in zip(found, cases, strict=True))
         undecided = sum(s.verdict == "undecided" for s in found)
         loops = [s.closed_loop for s in found]
-        error = np.array([c.poles[c.critical or 0] - at.resonance for c, at in zip(loops, cases, strict=True)])
+        nearest = [int(np.argmin(np.abs(c.poles - at.resonance))) for c, at in zip(loops, cases, strict=True)]
+        error = np.array([c.poles[k] - at.resonance for k, c, at in zip(nearest, loops, cases, strict=True)])
+        named = sum(k == c.critical for k, c in zip(nearest, loops, strict=True))
         print(
             f"noise {noise:.1%}: right {right}, undecided {undecided}, wrong {500 - right - undecided}; "
-            f"largest error {np.abs(error.real).max():.2g} rad/s, {np.abs(error.imag).max() / 2 / np.pi:.2g} Hz"
+            f"largest error {np.abs(error.real).max():.2g} rad/s, {np.abs(error.imag).max() / 2 / np.pi:.2g} Hz; "
+            f"{named} named"
         )
         if noise == 0.0:
             assert right == 500
