@@ -269,14 +269,14 @@ class _Setting:
     def _gone_in(self, stage: Stage, power: Mapping[str, float], margin: float) -> bool:
         """The deactivation criterion in a stage; a power that the tables do not know leaves damping on."""
         content = {key: value for key, value in self.document.items() if key not in ("damper", "state")}
-        entries = [dict(entry) for entry in content["device"]]
-        for entry in entries:
-            if (scale := power.get(entry.get("name"), 1.0)) != 1.0:
-                if "active_power_mw" not in entry:
+        devices = [dict(device) for device in content["device"]]
+        for device in devices:
+            if (scale := power.get(device.get("name", ""), 1.0)) != 1.0:
+                if "active_power_mw" not in device:
                     return False
-                entry["active_power_mw"] *= scale
+                device["active_power_mw"] *= scale
         state = State(stage.what, tuple(sorted(stage.out)), source_scale=stage.scale)
-        entry = farm_in({**content, "device": entries}, state)
+        entry = farm_in({**content, "device": devices}, state)
         return judge_state(entry, state, self.library, margin).cause_gone
 
     def _resonance_hz(self) -> float | None:
