@@ -259,7 +259,7 @@ def _faults(found: dict[str, Runs]) -> Row:
         "40 ms faults at the connection, 8 turbines",
         paper,
         said,
-        "set B is weakly damped at SCR 1.8: what the fault leaves decays slowly",
+        "faults of all phases cost synchronism, without ride-through; the others decay slowly",
     )
 
 
