@@ -7,12 +7,13 @@ line each, and the exit status is 1.
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import re
 import sys
 from base64 import urlsafe_b64encode
 from collections.abc import Iterator
-from importlib.metadata import Distribution, PackageNotFoundError, PackagePath, distribution
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
 LOCK = Path(__file__).resolve().parent.parent / "constraints.lock"
@@ -38,19 +39,19 @@ def problems_of(pinned: dict[str, str]) -> Iterator[str]:
 
 
 def altered(found: Distribution) -> Iterator[str]:
-    """Files of a distribution that are not what its installer wrote."""
-    for file in found.files or ():
-        if file.hash is not None and not is_whole(file):
-            yield f"{found.metadata['Name']} {found.version}: {file} was changed or removed since it was installed"
+    """Files of a distribution that are not what its installer wrote: its RECORD lists them with their check sums."""
+    for name, check_sum, *_ in csv.reader((found.read_text("RECORD") or "").splitlines()):
+        if check_sum and not is_whole(Path(str(found.locate_file(name))), check_sum):
+            yield f"{found.metadata['Name']} {found.version}: {name} was changed or removed since it was installed"
 
 
-def is_whole(file: PackagePath) -> bool:
-    """Whether a file is there and has its check sum."""
-    path = Path(str(file.locate()))
-    if file.hash is None or not path.is_file():
+def is_whole(path: Path, check_sum: str) -> bool:
+    """Whether a file is there and has its check sum, as "sha256=" and the digest in URL-safe base64."""
+    if not path.is_file():
         return False
-    digest = hashlib.new(file.hash.mode, path.read_bytes()).digest()
-    return urlsafe_b64encode(digest).decode().rstrip("=") == file.hash.value
+    kind, _, value = check_sum.partition("=")
+    digest = hashlib.new(kind, path.read_bytes()).digest()
+    return urlsafe_b64encode(digest).decode().rstrip("=") == value
 
 
 def main() -> int:

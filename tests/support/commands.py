@@ -56,7 +56,7 @@ def campaign(folder, *, plant="branch-v1", plant_lines="", powers=(0.65,), n=8):
 
 
 def slow_campaign(folder, *, plant="python:plants:SlowBranch", rest_s=0.02, extra="", n_points=4):
-    """About a hundred calls of ``rest_s`` in some twelve batches."""
+    """About a hundred calls of ``rest_s`` in two batches of each operating point."""
     lines = f"[plant.parameters]\nrest_s = {rest_s}\n{extra}"
     return campaign(folder, plant=plant, plant_lines=lines, powers=[0.1 + 0.1 * k for k in range(n_points)], n=24)
 
