@@ -15,7 +15,10 @@ RESONANCE_FROM_HZ = 5.0
 """Modes below this frequency in dq are slow modes, not resonances (Hz)."""
 
 RESONANCE_DAMPING = 2.0**-0.5
-"""Damping ratio from which on a mode has no peak and is no resonance."""
+"""Damping ratio from which on a mode has no peak."""
+
+NAMED_DAMPING = 0.5
+"""Damping ratio from which on a mode's peak is below 16 % and it is not named as a resonance: rows tell it badly."""
 
 LIGHT = 0.1
 """Damping ratio below which a mode is lightly damped, and the ratio counts; above, how long it lasts."""
@@ -172,7 +175,7 @@ def _resonance(
     by themselves; one that is unstable with nothing faster counts.
     """
     f_hz, damping = poles.imag / (2.0 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
-    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < RESONANCE_DAMPING) & believed
+    within = (f_hz > 0.0) & (f_hz < EDGE * model.nu_hz[-1]) & (damping < NAMED_DAMPING) & believed
     if np.any((poles.real > 0.0) & within & (named | grows)):
         within &= poles.real > 0.0
     within &= named
