@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from functools import partial
-from math import ceil
 from typing import Any
 
 from ...plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
 from ...plant.registry import PlantCard
 from ..measure.loadflow import reached
-from ..plan import EXPECTED_WINDOWS, Plan
+from ..plan import EXPECTED_WINDOWS, Batch, Plan
 from .host import DEFAULT_TIMEOUT_S, host_at_hand
 
 PROBE_JOBS = 8
@@ -39,12 +38,16 @@ def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     batches = list(plan.batches())
     if plan.signal is not None:
         blocks = [plan.simulated_s / plan.n_shots / plan.block.duration_s] * len(batches)
-        runs = [1] * len(batches)
     else:
-        blocks = [EXPECTED_WINDOWS * max(p.window_blocks for p in batch.points) for batch in batches]
-        runs = [ceil(batch.n_shots / together) for batch in batches]
-    work_s = [per_block_s * b * n + BATCH_OVERHEAD_S for b, n in zip(blocks, runs, strict=True)]
+        blocks = [EXPECTED_WINDOWS * _blocks(batch, together) for batch in batches]
+    work_s = [per_block_s * n + BATCH_OVERHEAD_S for n in blocks]
     return START_S + max(max(work_s), sum(work_s) / jobs)
+
+
+def _blocks(batch: Batch, together: int) -> float:
+    """Blocks of a window of every shot, ``together`` of them for the price of one; at least those of the longest."""
+    windows = [shot.window.n_blocks for of_point in batch.shots for shot in of_point]
+    return max(max(windows), sum(windows) / together)
 
 
 def _cost(plan: Plan, plant: Plant | PlantCard) -> tuple[float, int]:
