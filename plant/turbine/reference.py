@@ -177,9 +177,11 @@ class ReferenceTurbine:
         residual = np.max(np.abs(end.values - state.values) / np.maximum(np.abs(state.values), 1.0))
         worst = self.linearise(state)[0]
         if worst.real > 0.0:
+            ideal = state.source.kind == "ideal"
+            way_out = "change its parameters" if ideal else "use an ideal source to sweep it, or a stronger grid"
             raise NotSettled(
                 f"the equilibrium is unstable: {worst.real:+.3g} rad/s at {abs(worst.imag) / (2 * pi):.3g} Hz in the "
-                "dq frame; use an ideal source to sweep it, or a stronger grid",
+                f"dq frame; {way_out}",
                 status="diverged",
             )
         if not residual <= _RESIDUAL_LIMIT:

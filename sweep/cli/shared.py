@@ -116,12 +116,14 @@ def check_suffix(output: Path, suffix: str) -> None:
 
 
 def report_statuses(output: Path, statuses: dict[str, int]) -> None:
-    """Rows by status, the most frequent first: one line on stderr, or the result where JSON is asked for."""
+    """Rows by status, the most frequent first, and who says why: on stderr, or the result where JSON is asked for."""
     counts = ", ".join(f"{n} {status}" for status, n in sorted(statuses.items(), key=lambda item: -item[1]))
     if is_json():
         result("", lambda: {"table": output, "rows": statuses})
     else:
         remark(f"{output}: {counts}")
+        if set(statuses) - {"ok"}:
+            remark(f"seqsweep show {output} says why")
 
 
 def check_folder(output: Path) -> None:

@@ -245,6 +245,7 @@ def test_rows_that_are_not_ok_end_in_status_one_with_a_whole_table(tmp_path):
     done = command("run", path, "-o", table)
     assert done.returncode == NOT_ALL_OK
     assert f"{table}: 4 diverged" in done.stderr.splitlines()
+    assert f"seqsweep show {table} says why" in done.stderr.splitlines()
     assert command("validate", table).returncode == OK
     shown = command("show", table)
     assert shown.returncode == OK
