@@ -115,7 +115,7 @@ def _facts(result: FarmVerification) -> list[tuple[str, ...]]:
         row("synchronism lost", lambda run: _lost(run, result)),
         row("line: largest r", lambda run: f"{100.0 * run.line.largest_ratio:.1f} %"),
         row("line: last r", lambda run: _value(100.0 * run.line.last_ratio, ".2f", " %")),
-        row("line: rate after the last change", lambda run: _value(run.line.rate_per_s, "+.2f", " 1/s")),
+        row("line: rate after changes", lambda run: _value(run.line.rate_per_s, "+.2f", " 1/s")),
         row("line: stronger component", lambda run: _value(_frequency_hz(run), ".2f", " Hz")),
         row("damping started", lambda run: _value(_started_s(run), ".3f", " s")),
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,7 +20,6 @@ from tests.support.farm_oracle import Star, closed_loop
 
 STAR = Star(0.0017 + 0.0175j, 400e-6, 0.0052 + 0.1105j)
 POWERS_W = [0.4e6, 0.6e6, 0.8e6]
-F_HZ = 50.0 + np.geomspace(0.4, 1200.0, 70)
 CAMPAIGN = {"plant": {"id": "dpmsg-v1", "parameters": {}}}
 
 
@@ -65,6 +66,16 @@ def test_the_aggregate_stands_beside_and_is_told_what_it_gets_wrong(kicked):
     one, all_of_them = kicked.runs[1].line.rate_per_s, kicked.runs[0].line.rate_per_s
     assert one == pytest.approx(all_of_them, abs=2.0)
     assert one != pytest.approx(all_of_them, abs=1e-3)
+
+
+def test_all_runs_side_by_side_fit_80_columns(kicked):
+    """Turbines and their aggregate, without and with damping, with a rate of three digits."""
+    titles = ("without damping", "with damping", "aggregate without damping", "aggregate with damping")
+    runs = tuple(
+        replace(run, title=title, line=replace(run.line, rate_per_s=-123.45))
+        for run, title in zip([kicked.runs[0]] * 2 + [kicked.runs[1]] * 2, titles, strict=True)
+    )
+    assert max(map(len, format_report(replace(kicked, runs=runs)).splitlines())) <= 80
 
 
 def test_damping_of_the_turbines_keeps_the_farm(library, tmp_path):
