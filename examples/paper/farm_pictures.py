@@ -88,6 +88,7 @@ def _waves(columns: dict[str, list[Shown]], quantities: tuple[Quantity, ...], he
             if column == 0:
                 axes[row, column].set_ylabel(label)
             axes[row, column].tick_params(labelsize=7)
+            axes[row, column].ticklabel_format(axis="y", useOffset=False)
             _near_rest(axes[row, column])
         axes[0, column].set_title(name)
         axes[-1, column].set_xlabel("t (s)")
