@@ -73,26 +73,26 @@ class Ruling(NamedTuple):
 
 def decide(case: Case) -> Ruling:
     """The first objection that holds, or the verdict if none does."""
-    objections = (
-        _untraced,
-        _unfounded,
-        _unproved,
-        _miscounted,
-        _too_few_rows,
-        _open_end,
-        _judges_disagree,
-        _swept_grid_denies,
-        _left_out_row_denies,
-        _may_hide,
-        _may_grow,
-        _improbable,
-        _unswept,
-        _grid_unmeasured,
+    objections: tuple[tuple[Callable[[Case], str], Standing], ...] = (
+        (_untraced, "denied"),
+        (_unfounded, "denied"),
+        (_unproved, "contested"),
+        (_miscounted, "denied"),
+        (_too_few_rows, "contested"),
+        (_open_end, "sound"),
+        (_judges_disagree, "contested"),
+        (_swept_grid_denies, "denied"),
+        (_left_out_row_denies, "sound"),
+        (_may_hide, "sound"),
+        (_may_grow, "sound"),
+        (_improbable, "sound"),
+        (_unswept, "sound"),
+        (_grid_unmeasured, "sound"),
     )
-    for objection in objections:
+    for objection, fit in objections:
         reason = objection(case)
         if reason:
-            return Ruling("undecided", reason, _standing(objection))
+            return Ruling("undecided", reason, fit)
     if case.stable:
         return Ruling("stable", case.turns)
     return Ruling("unstable", f"{case.turns}; {_mode_text(case)}")
@@ -213,17 +213,6 @@ def _swept_grid_denies(case: Case) -> str:
         f"the fit is unstable on {case.anchor.where}, where the device was seen to be stable, near "
         f"{_place(case.model, abs(worst.imag) / (2.0 * np.pi))}: measure more points there"
     )
-
-
-_DENY_THE_FIT = (_untraced, _unfounded, _miscounted, _swept_grid_denies)
-_CONTEST_THE_FIT = (_unproved, _too_few_rows, _judges_disagree)
-
-
-def _standing(objection: Callable[[Case], str]) -> Standing:
-    """What an objection leaves of the fit."""
-    if objection in _DENY_THE_FIT:
-        return "denied"
-    return "contested" if objection in _CONTEST_THE_FIT else "sound"
 
 
 def _left_out_row_denies(case: Case) -> str:
