@@ -23,6 +23,7 @@ MAX_STEP_DEG = 30.0
 """A locus is refined until no step turns further than this."""
 
 _MAX_POINTS = 20000
+_SEEDS = np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])  # widths from a mode at which a locus is looked at first
 _FALL = np.geomspace(1.0, 1e4, 25)[1:]  # how many times the band's end the locus is followed while the gain falls off
 
 Locus = Callable[[np.ndarray], np.ndarray]
@@ -128,14 +129,14 @@ def _least(admittance: Admittance, grid: Grid, nu_hz: float) -> np.ndarray:
     at = np.array([nu_hz])
     gains = np.linalg.eigvals(admittance(at) @ grid.impedance_dq(2j * np.pi * at))[0]
     gains = gains[gains.real < 0.0]
-    beside = gains.imag[:, None] * np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])
+    beside = gains.imag[:, None] * _SEEDS
     share = ((-gains.real[:, None] + beside) / np.abs(gains[:, None]) ** 2).ravel()
     return np.asarray(1.0 / share[(share > 0.0) & (share < 1.0)])
 
 
 def about(poles: np.ndarray) -> np.ndarray:
-    """Frequencies |f - f1| (Hz) around every pole (rad/s), as close as it is wide."""
-    width = np.abs(poles.real)[:, None] * np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])
+    """Frequencies |f - f1| (Hz) around every pole (m,) in rad/s, as close as it is wide: as many of each, in turn."""
+    width = np.abs(poles.real)[:, None] * _SEEDS
     return np.abs(poles.imag[:, None] + width).ravel() / (2.0 * np.pi)
 
 

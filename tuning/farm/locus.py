@@ -120,16 +120,18 @@ def _seeds(system: System, poles: np.ndarray) -> np.ndarray:
     past = system.axis_rad_s[:, None] + PASSED_RAD_S * np.cos(np.linspace(0.0, np.pi, 13))
     near_f1 = system.f1_hz * np.array([0.98, 1.0, 1.02])
     fixed = [past.ravel() / (2.0 * np.pi), near_f1, *(model.nu_hz for model in models)]
-    seeds = np.concatenate([*fixed, _thinned(about(modes), np.repeat(np.abs(modes.real), 7) / (2.0 * np.pi))])
+    seeds = np.concatenate([*fixed, _thinned(modes)])
     inside = seeds[(seeds > 0.0) & (seeds < system.end_hz)]
     return np.unique(np.concatenate([[0.0, system.end_hz], inside]))
 
 
-def _thinned(nu_hz: np.ndarray, width_hz: np.ndarray) -> np.ndarray:
-    """Places without those that have a kept one within `_CLOSE` of their width, on a grid of powers of two of it.
+def _thinned(modes: np.ndarray) -> np.ndarray:
+    """|f - f1| (Hz) about modes (m,) in rad/s, without places that have a kept one within `_CLOSE` of their width.
 
-    Many devices have as many modes in one place; looked at once, they are seen as well.
+    Many devices have as many modes in one place; looked at once, they are seen as well. Widths count as powers of two.
     """
+    nu_hz = about(modes)
+    width_hz = np.repeat(np.abs(modes.real), len(nu_hz) // max(len(modes), 1)) / (2.0 * np.pi)
     cell = 2.0 ** np.floor(np.log2(np.maximum(_CLOSE * width_hz, 1e-9)))
     _, first = np.unique(np.stack([cell, np.round(nu_hz / cell)]), axis=1, return_index=True)
     return np.asarray(nu_hz[first])
