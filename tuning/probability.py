@@ -9,18 +9,18 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate, spread
 from .grids.response import ResponseGrid
-from .poles import ClosedLoop
+from .poles import SURELY, ClosedLoop
 from .siso import Grid
 from .winding import det
 
 DECIDED = 0.99
 """Probability from which on a verdict is given."""
 
+DECIDED_AT = SURELY
+"""Standard errors that make it so."""
+
 _SAME_PLACE = 1e-6  # parts of the lowest |f - f1| to which a pole's place is known at best
 _NEAR_POLE = 20.0  # standard errors of a pole of the device's own within which the locus tells nothing
-
-DECIDED_AT = 2.326
-"""Standard errors that make it so."""
 
 
 class Doubt(NamedTuple):

@@ -15,13 +15,11 @@ import numpy as np
 
 from ..objections import Decision
 from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
+from ..probability import DECIDED
 from .doubt import doubt_of
 from .locus import Followed, follow
 from .participation import ModeParts, parts_of
 from .system import System
-
-DECIDED = 0.99
-"""Probability from which on a verdict is given."""
 
 BESIDE = 0.1
 """A stable mode nearer to a device's own pole than this part of its width is told last."""
