@@ -44,7 +44,7 @@ class Doubt:
 def doubt_of(system: System, pole: complex) -> Doubt:
     """What the uncertainty of a mode comes from."""
     weights = table_weights(system, pole, null_vectors(system, pole))
-    models = {unit.key: unit.model for unit in system.units}
+    models = system.models
     errors = {key: spread(models[key], np.array([pole]), weight[None])[0] for key, weight in weights.items()}
     variance = {key: float(np.sum(error.real**2)) for key, error in errors.items()}
     total = max(sum(variance.values()), 1e-300)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identify.fit.rational import joint, spread
 from ...identify.frames import dq_to_pn
 from ..crossings import Crossing, bode_crossings, critical_crossing
 from ..siso import SeriesRL, impedance_pn, siso
@@ -44,10 +43,8 @@ def margin_at_source(farm: Farm) -> Margin | None:
         return None
     f, h = crossing.f_hz, _STEP * crossing.f_hz
     slope = (_ratio(farm, f + h) - _ratio(farm, f - h)) / (2.0 * h)
-    models = {unit.key: unit.model for unit in farm.system.units}
-    s = np.array([2j * np.pi * (f - farm.entry.f1_hz)])
-    each = [spread(model, s, _weight(farm, f, key)[None])[0] for key, model in models.items()]
-    errors = joint(list(models.values()), each)
+    weights = {key: _weight(farm, f, key)[None] for key in farm.system.models}
+    errors = farm.system.errors(np.array([2j * np.pi * (f - farm.entry.f1_hz)]), weights)[0]
     moved = errors.real - slope.real / slope.imag * errors.imag
     return Margin(crossing, crossing.m**2 * float(np.linalg.norm(moved)))
 

@@ -42,6 +42,11 @@ def diagonal(p: np.ndarray, n: np.ndarray) -> Pair:
     return Pair(p, nothing, nothing, n)
 
 
+def everywhere(value: complex, n: int) -> Pair:
+    """``value`` times the unit matrix, n times."""
+    return diagonal(*(np.full(n, value, dtype=complex),) * 2)
+
+
 def turned(y: Pair, angle_rad: float, factor: float = 1.0) -> Pair:
     """factor R(d) Y R(-d)."""
     phase = np.exp(2j * angle_rad)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identify.fit.rational import evaluate, joint, spread
+from ...identify.fit.rational import evaluate
 from ..network.assembly import branch_slopes
 from .system import System
 from .units import Unit
@@ -151,12 +151,8 @@ def table_weights(system: System, pole: complex, shape: Shape) -> dict[str, np.n
 
 
 def _covariance(system: System, pole: complex, shape: Shape) -> np.ndarray:
-    """Errors add over tables, not over devices."""
-    models = {unit.key: unit.model for unit in system.units}
-    weights, at = table_weights(system, pole, shape), np.array([pole])
-    errors = joint(
-        [models[key] for key in weights], [spread(models[key], at, w[None])[0] for key, w in weights.items()]
-    )
+    weights = {key: weight[None] for key, weight in table_weights(system, pole, shape).items()}
+    errors = system.errors(np.array([pole]), weights)[0]
     effect = np.stack([errors.real, errors.imag])
     return np.asarray(effect @ effect.T)
 

@@ -17,13 +17,13 @@ from typing import Literal
 import numpy as np
 
 from ...identify.fit.model import fit_response
-from ...identify.fit.rational import RationalModel, joint, spread
+from ...identify.fit.rational import RationalModel
 from ..poles import EDGE, RESONANCE_FROM_HZ, closed_loop_poles
+from ..probability import DECIDED
 from ..siso import SeriesRL
 from ..winding import about
 from .entries import FarmEntry
 from .farm import Farm, judged_with, seen_from_source
-from .judge import DECIDED
 from .pairs import Pair, determinant, diagonal, eigenvalues, inverse, product, to_dq
 from .tree import Tree, reduced, tree_of
 
@@ -96,10 +96,15 @@ def _tree(entry: FarmEntry) -> Tree:
     return tree_of(entry.network, entry.source_bus, source, 2.0 * np.pi * entry.f1_hz)
 
 
-def _closed(entry: FarmEntry, y: Pair, z_ohm: np.ndarray, s: np.ndarray) -> Pair:
-    """1 + Y Z, Z = R + s L + j X for v_d + j v_q and R + s L - j X for v_d - j v_q; all of one shape, or broadcast."""
+def _source(entry: FarmEntry, z_ohm: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Z (ohm): R + s L + j X for v_d + j v_q and R + s L - j X for v_d - j v_q."""
     own, x = z_ohm.real + s * z_ohm.imag / (2.0 * np.pi * entry.f1_hz), z_ohm.imag
-    one, other = own + 1j * x, own - 1j * x
+    return own + 1j * x, own - 1j * x
+
+
+def _closed(entry: FarmEntry, y: Pair, z_ohm: np.ndarray, s: np.ndarray) -> Pair:
+    """1 + Y Z; all of one shape, or broadcast."""
+    one, other = _source(entry, z_ohm, s)
     return Pair(1.0 + y.pp * one, y.pn * other, y.np * one, 1.0 + y.nn * other)
 
 
@@ -203,19 +208,17 @@ def _errors(farm: Farm, tree: Tree, z_ohm: np.ndarray, poles: np.ndarray) -> np.
         return std
     s, z = s[there], z_ohm[there]
     seen = reduced(tree, s, farm.system.by_bus(s), with_ways=True)
-    behind = to_dq(_closed(farm.entry, diagonal(*(np.ones(len(s), dtype=complex),) * 2), z, s)) - np.eye(2)
+    behind = to_dq(diagonal(*_source(farm.entry, z, s)))
     u, _, vh = np.linalg.svd(to_dq(_closed(farm.entry, seen.y, z, s)))
     left, right = u[:, :, 1].conj(), (behind @ vh[:, 1].conj()[:, :, None])[:, :, 0]
     slope = np.einsum("ni,nij,nj->n", left, _matrix_slope(farm, tree, z, s), vh[:, 1].conj())
     weights: dict[str, np.ndarray] = {}
-    models = {unit.key: unit.model for unit in farm.system.units}
     for unit in farm.system.units:
         l = np.einsum("ni,nij->nj", left, to_dq(seen.left[unit.bus])) @ unit.turn  # noqa: E741
         r = np.einsum("nij,nj->ni", to_dq(seen.right[unit.bus]), right) @ unit.turn
         weight = -unit.factor * l[:, :, None] * r[:, None, :] / slope[:, None, None]
         weights[unit.key] = weights.get(unit.key, 0.0) + weight
-    errors = [spread(models[key], s, weight) for key, weight in weights.items()]
-    std[there] = np.linalg.norm(joint([models[key] for key in weights], errors).real, axis=1)
+    std[there] = np.linalg.norm(farm.system.errors(s, weights).real, axis=1)
     return std
 
 

@@ -6,14 +6,14 @@ by which that voltage leads. The network is one real phase-frame descriptor, see
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...identify.fit.rational import RationalModel, derivative, evaluate
+from ...identify.fit.rational import RationalModel, derivative, evaluate, joint, spread
 from ..network.assembly import GROUND, Network, assemble, port_impedance
 from ..network.descriptor import Descriptor, J, rotating
 from ..poles import states
@@ -102,6 +102,19 @@ class System:
             at = self.place(unit)
             total[:, at, at] += unit.factor * (unit.turn @ of_model[id(unit.model)] @ unit.turn.T)
         return total
+
+    @cached_property
+    def models(self) -> dict[str, RationalModel]:
+        """The fit of every table, by `Unit.key`."""
+        return {unit.key: unit.model for unit in self.units}
+
+    def errors(self, s: np.ndarray, weights: Mapping[str, np.ndarray]) -> np.ndarray:
+        """What the errors of all tables, each of unit variance, do to sum_ij weight_ij Ydq_ij(s): (n, k) complex.
+
+        ``s`` (n,) in rad/s, and by table the weights (n, 2, 2). Errors add over tables, not over devices.
+        """
+        models = [self.models[key] for key in weights]
+        return joint(models, [spread(model, s, w) for model, w in zip(models, weights.values(), strict=True)])
 
     def closed(self, s: complex) -> tuple[csc_array, csc_array]:
         """K = s E - A - B Y C of network and devices at a complex ``s`` (rad/s), singular at a mode; and dK/ds."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..network.assembly import GROUND, Branch, Network
 from .entries import FarmError
-from .pairs import Pair, diagonal, inverse, plus, product, scaled
+from .pairs import Pair, diagonal, everywhere, inverse, plus, product, scaled
 
 Sequences = tuple[np.ndarray, np.ndarray]
 """Of v_d + j v_q and of v_d - j v_q."""
@@ -127,7 +127,7 @@ def reduced(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair], with_ways: b
         if with_ways:
             back = inverse(_factor_from_left(behind, z, step.b))
             ways[step.far] = scaled(-step.a * step.b, back), scaled(-step.a * step.b, seen)
-    whole = diagonal(*(np.ones(len(s), dtype=complex),) * 2)
+    whole = everywhere(1.0, len(s))
     left, right = {tree.root: whole}, {tree.root: whole}
     for step in tree.steps if with_ways else ():
         back, forth = ways[step.far]
@@ -161,7 +161,7 @@ def _factor_from_left(y: Pair, z: Sequences, b: float) -> Pair:
 
 def _at_nodes(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair]) -> dict[str, Pair]:
     """What stands at every node itself: devices and shunts."""
-    nothing = diagonal(*(np.zeros(len(s), dtype=complex),) * 2)
+    nothing = everywhere(0.0, len(s))
     y = dict.fromkeys((tree.root, *(step.far for step in tree.steps)), nothing)
     for node, found in devices.items():
         y[node] = plus(y[node], found)
