@@ -174,10 +174,9 @@ def _judged(
     ends = stable_range(model, grid)
     edge = ends.nearest
     part = None if loop.critical is None else participation(model, grid, complex(loop.poles[loop.critical]))
-    gain = FirstGain(None)
+    gain = FirstGain(None, None if part is None else part.f_hz)
     if part is not None and not ends.averse and not _not_the_formulas(device, stability):
         gain = _gain(model, grid, stability, margin, part.f_hz)
-    at_resonance = None if part is None else part.f_hz
     scr = None
     if edge is not None and {"rated_voltage_v", "rated_power_va"} <= set(bases):
         scr = critical_scr(edge, grid, bases["rated_voltage_v"], bases["rated_power_va"])
@@ -197,7 +196,7 @@ def _judged(
         passivity=_least_passive(model),
         participation=part,
         k=gain.k,
-        f_r_hz=gain.f_r_hz or at_resonance,
+        f_r_hz=gain.f_r_hz,
         margin_m_predicted=gain.margin_m,
         no_k=_no_k(gain),
         warnings=(*warnings, *model.notes, *_gain_warnings(stability, ends, gain)),
