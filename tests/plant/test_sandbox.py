@@ -29,14 +29,18 @@ FILE = Path("/somewhere/a.h5")
 
 @pytest.fixture(autouse=True)
 def _found_by_name(monkeypatch):
-    """Processes that begin in these tests find `misbehaving`."""
-    while sandbox._idle:
-        sandbox._idle.pop().end()
+    """Processes that begin in these tests find `misbehaving`; none comes back from a recording of another test.
+
+    A recording that the collector of garbage takes away gives its process back, at any moment.
+    """
+    gc.collect()
+    gc.disable()
+    sandbox._end_all()
     known = os.environ.get("PYTHONPATH")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(SUPPORT), known])))
     yield
-    while sandbox._idle:
-        sandbox._idle.pop().end()
+    sandbox._end_all()
+    gc.enable()
 
 
 @pytest.mark.parametrize(
@@ -136,17 +140,12 @@ def holed(path):
 
 def test_a_damaged_piece_is_told_with_the_file_and_leaves_no_process_behind(tmp_path):
     """Without waiting for the collector of garbage: the next file finds the process that the last one left."""
-    gc.collect()
-    gc.disable()
-    try:
-        first = apart(FILE, "misbehaving:who")
-        for k in range(4):
-            try:
-                open_waveforms(holed(tmp_path / f"{k}.h5"), "load").record(0, N)
-            except RecordingError as error:
-                said = str(error)
-            assert f"{k}.h5: Ic: damaged, cannot be read" in said
-        assert apart(FILE, "misbehaving:who") == first
-        assert len(sandbox._idle) == 1
-    finally:
-        gc.enable()
+    first = apart(FILE, "misbehaving:who")
+    for k in range(4):
+        try:
+            open_waveforms(holed(tmp_path / f"{k}.h5"), "load").record(0, N)
+        except RecordingError as error:
+            said = str(error)
+        assert f"{k}.h5: Ic: damaged, cannot be read" in said
+    assert apart(FILE, "misbehaving:who") == first
+    assert len(sandbox._idle) == 1
