@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, pi
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .control import DampingSettings, DampingState, Measurement
 from .estimator import SAMPLE_S, Resonance, block_means, matrix_pencil
 
 FaultKind = Literal["a-b-c", "a-g", "b-c", "b-c-g"]
+Where = TypeVar("Where")  # conditions of a device, or of a farm
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +262,7 @@ def simulate(
     memory = _memory_at_rest(port, state, scenario, settings)
     pieces: list[Trace] = []
     memories: list[DampingState] = []
-    verdict = _remembered(cause_gone)
+    verdict = remembered(cause_gone, lambda conditions: any(conditions.fault_s))
     for block in range(n_blocks):
         time_s = block * SAMPLE_S
         if on_from_s is not None and damping is not None and time_s >= on_from_s - 1e-9:
@@ -420,12 +421,14 @@ def switched_on(settings: DampingSettings, memory: DampingState) -> DampingState
     return replace(memory, active=True, resonance_hz=hz)
 
 
-def _remembered(cause_gone: Callable[[Conditions], bool] | None) -> Callable[[Conditions], bool]:
-    """The injected check, asked once for each set of conditions."""
-    answers: dict[Conditions, bool] = {}
+def remembered(
+    cause_gone: Callable[[Where], bool] | None, in_fault: Callable[[Where], bool]
+) -> Callable[[Where], bool]:
+    """The injected check, asked once for each set of conditions; it is False in a fault, and if none was injected."""
+    answers: dict[Where, bool] = {}
 
-    def answer(conditions: Conditions) -> bool:
-        if cause_gone is None or any(conditions.fault_s):
+    def answer(conditions: Where) -> bool:
+        if cause_gone is None or in_fault(conditions):
             return False
         if conditions not in answers:
             answers[conditions] = bool(cause_gone(conditions))

@@ -22,7 +22,7 @@ from ..protocol import Compensation, FarmConditions, FarmTrace, Record, Together
 from . import control
 from .control import DampingSettings, DampingState, Measurement
 from .estimator import SAMPLE_S
-from .events import FaultKind, Trajectory, fault_conductance, steps_of, switched_on, trajectory_of
+from .events import FaultKind, Trajectory, fault_conductance, remembered, steps_of, switched_on, trajectory_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +149,7 @@ class _Port:
 
 
 CauseGone = Callable[[FarmConditions], bool]
+"""Whether the farm is stable without damping in given conditions."""
 
 
 def simulate_farm(
@@ -187,7 +188,7 @@ def simulate_farm(
     memories = _memories_at_rest(farm, state, scenario, ports)
     pieces: list[list[Trace]] = [[] for _ in ports]
     kept: list[list[DampingState]] = [[] for _ in ports]
-    verdict = _remembered(cause_gone)
+    verdict = remembered(cause_gone, lambda conditions: conditions.fault is not None)
     for block in range(n_blocks):
         time_s = block * SAMPLE_S
         if control_of is not None and control_of.on_from_s is not None and time_s >= control_of.on_from_s - 1e-9:
@@ -317,20 +318,6 @@ def _memories_at_rest(farm: Together, state: Any, scenario: FarmScenario, ports:
 def _measured(port: _Port, traces: Sequence[Trace], time_s: float, cause_gone: bool) -> Measurement:
     v, i = (np.mean(np.concatenate([getattr(t.record, name) for t in traces])) for name in ("v", "i"))
     return Measurement(time_s, complex(v) / port.peak_v, complex(i), cause_gone)
-
-
-def _remembered(cause_gone: CauseGone | None) -> CauseGone:
-    """The injected check, asked once for each set of conditions."""
-    answers: dict[FarmConditions, bool] = {}
-
-    def answer(conditions: FarmConditions) -> bool:
-        if cause_gone is None or conditions.fault is not None:
-            return False
-        if conditions not in answers:
-            answers[conditions] = bool(cause_gone(conditions))
-        return answers[conditions]
-
-    return answer
 
 
 def _stretches(
