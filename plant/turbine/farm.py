@@ -188,12 +188,13 @@ class TurbineFarm:
         forced = stepped.forced(state.v_source)
         places, rest = stepped.split.spread(self._network_states(state, stepped, forced))
         x = self._lanes(state, stepped, conditions, places)
-        _set_network(x, stepped, _held(stepped, forced))
+        held = _held(stepped, forced)
+        _set_network(x, stepped, held)
         room = self._room(state, stepped, rest)
         samples = np.empty((n_steps, len(x), 7 * LANES))
         watched = np.empty((n_steps, 2 * len(conditions.watch)))
         reactive = True if any(state.turbines[k].i_q_ref_a for k in stepped.connected) else None
-        wiring = self._wiring(state, stepped, forced, conditions)
+        wiring = self._wiring(state, stepped, held, conditions)
         coupled = stepped.split.coupled
         kernel.advance_farm(reactive, x, self.plant.parameters, self.dt_s, samples, watched, coupled, wiring, room)
         end = self._end(state, stepped, forced, x, room, n_steps)
@@ -220,13 +221,10 @@ class TurbineFarm:
             lane[kernel.NETWORK] = places[same]
         return x
 
-    def _wiring(
-        self, state: FarmState, stepped: Stepped, forced: tuple[Turning, ...], conditions: FarmConditions
-    ) -> object:
+    def _wiring(self, state: FarmState, stepped: Stepped, held: np.ndarray, conditions: FarmConditions) -> object:
         from ..kernels import turbine_farm as kernel
 
         n, d, w1 = len(stepped.connected), len(self.dampers), self.plant.parameters.w1_rad_s
-        held = _held(stepped, forced)
         of_none = np.concatenate([held[:, 2 * n : 2 * (n + d)], held[:, 2 * (2 * n + d) :]], axis=1)
         moving = stepped.dynamics.frame == "stationary"
         turns = [
