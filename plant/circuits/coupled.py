@@ -12,6 +12,9 @@ network of a place alone, the sums are found by singular values down to rounding
 that has no such structure merely has many sums. Real and imaginary parts (alpha and beta) are summed alike, so U and V
 are real matrices of one of them.
 
+`split` is the way in. Below it stand the coordinates that belong to places, the matrices of the step in them, and the
+factors of what is exchanged.
+
 Quantities of a place: its two states, a voltage and a current, and the current it feeds in, which is that of one device
 of which it has ``factor``; then what it sees, a voltage and a current. First all real parts, then the imaginary ones.
 """
@@ -35,9 +38,9 @@ STATES, FED, SEEN = 4, 2, 4
 LOCAL = 136
 """Numbers of the parts that a place does to itself, in the order of `Coupled`."""
 
-_ROUNDING = 1e-13
-_NOTHING = 1e-2
-_INDEPENDENT = 1e-7
+_ROUNDING = 1e-13  # singular values up to this are none: entries are of the size of one by then
+_NOTHING = 1e-2  # least scale of a row or column, as a part of the largest: what is smaller may be rounding alone
+_INDEPENDENT = 1e-7  # part of a row that must be left without those before, or it says nothing new
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +256,7 @@ def _per_device(w: Weights, factors: np.ndarray, n_dampers: int) -> Weights:
 
 
 def _scaled_rows(matrix: np.ndarray, factors: np.ndarray, n_dampers: int) -> np.ndarray:
+    """A matrix (2 o, any) with the currents that places see counted for one device."""
     n = len(factors)
     scale = np.ones(len(matrix))
     first = 2 * (n + n_dampers)
@@ -297,7 +301,7 @@ def _local(dynamics: Dynamics, place: Place, step_s: float) -> np.ndarray:
 
 
 def _by_fours(rows: np.ndarray) -> np.ndarray:
-    """Rows that are parts of two each, those of one thing together."""
+    """Rows, all real parts before the imaginary ones, as a place's own have them: two real, then two imaginary."""
     return rows.reshape(2, -1, 2).transpose(1, 0, 2).ravel()
 
 
@@ -403,8 +407,8 @@ def _coupling(matrix: np.ndarray, local: np.ndarray, kind: _Kind, layout: _Layou
     n, wide, high = layout.n, kind.n_in // 2, kind.n_out // 2
     inner = _Inner.of(matrix, rest, (_halves(rows), more_rows), (_halves(columns), more_columns))
     into = layout.in_lanes(inner.into.T.reshape(n, wide, -1))
-    idle = n - (len(into) - 1) * layout.lanes
-    into.reshape(len(into), len(inner.into), wide, layout.lanes)[-1, :, :, idle:] = 0.0
+    used = n - (len(into) - 1) * layout.lanes  # lanes of the last group; the idle ones beside them add nothing
+    into.reshape(len(into), len(inner.into), wide, layout.lanes)[-1, :, :, used:] = 0.0
     odd = inner.out.shape[1] % 2
     out = np.pad(inner.out, ((0, 0), (0, odd))).reshape(n, high, -1)
     return Coupling(np.ascontiguousarray(into.transpose(1, 0, 2)), inner.core, layout.in_lanes(out))
@@ -432,9 +436,9 @@ class _Inner(NamedTuple):
     ) -> _Inner:
         """Of ``rest`` to the rounding of ``whole``; rows and columns of the places (2, k), and of no place."""
         to, more_to = _sizes(whole, rows, 1)
-        scaled = whole / _spread(to, more_to, rows, len(whole))[:, None]
-        of, more_of = _sizes(scaled, columns, 0)
-        unit = rest / _spread(to, more_to, rows, len(whole))[:, None] / _spread(of, more_of, columns, whole.shape[1])
+        by_row = _spread(to, more_to, rows, len(whole))[:, None]
+        of, more_of = _sizes(whole / by_row, columns, 0)
+        unit = rest / by_row / _spread(of, more_of, columns, whole.shape[1])
         all_rows, all_columns = np.append(rows[0].ravel(), rows[1]), np.append(columns[0].ravel(), columns[1])
         u = _space(np.hstack([_picked(unit, part, all_columns) for part in rows[0]]))
         v = _space(np.hstack([_picked(unit, all_rows, part).T for part in columns[0]]))
