@@ -8,7 +8,7 @@ from .compiled import njit
 from .lanes import FAST as _FAST
 from .lanes import LANES
 
-# A damper's row: nu, w_b, w_w, 1/T, y_mode, y_mirror (two each), largest current, whether it acts.
+# A damper's row: nu, w_b, w_w (rad/s), 1/T (1/s), y_mode, y_mirror (S, two each), largest current (A), whether it acts.
 NU, W_B, W_W, RATE, Y_MODE, Y_MIRROR, LIMIT, ACTS, N_DAMPER = 0, 1, 2, 3, 4, 6, 8, 9, 10
 
 
