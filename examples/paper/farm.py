@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from comparison import rewrite
+from comparison import Row, markdown, rewrite
 
 import seqsweep as ss
 from seqsweep.sweep.farm_sweeps import FarmSweeps, resonance_hz, virtual_impedance
@@ -40,8 +40,6 @@ ARDC_K = 1.5
 WITH_COLLECTOR_MW = 0.28 * 1.632
 CABLE = {"r_ohm_per_km": 0.13, "x_ohm_per_km": 0.119, "c_nf_per_km": 190.0}
 SPACING_KM = 0.8
-
-Row = tuple[str, str, str, str]
 
 
 class Results(NamedTuple):
@@ -113,13 +111,13 @@ def with_collector(document: dict[str, Any], power_mw: float | None = None) -> d
         for k, bus in enumerate(before, start=1)
     ]
     content["state"] = [
-        {"name": "8 turbines", "devices": 8, "out": _unused(8), "source_scale": [1.0, 1.1, 1.25, 1.375, 1.5]},
-        *({"name": f"{n} turbines", "devices": n, "out": _unused(n)} for n in (9, 11, 13)),
+        {"name": "8 turbines", "devices": 8, "out": unused_cables(8), "source_scale": [1.0, 1.1, 1.25, 1.375, 1.5]},
+        *({"name": f"{n} turbines", "devices": n, "out": unused_cables(n)} for n in (9, 11, 13)),
     ]
     return content
 
 
-def _unused(n: int) -> list[str]:
+def unused_cables(n: int) -> list[str]:
     """The cables beyond the first n turbines, which would charge all the same."""
     return [f"c{k}" for k in range(n + 1, 14)]
 
@@ -138,7 +136,7 @@ def aggregated(document: dict[str, Any], power_mw: float) -> dict[str, Any]:
 
 def charging(document: dict[str, Any], library: Library) -> dict[str, StateVerdict]:
     """Nine turbines at 0.30 pu: without cables, with them, and with cables that do not charge."""
-    nine, cabled = State("9 turbines", devices=9), State("9 turbines", devices=9, out=tuple(_unused(9)))
+    nine, cabled = State("9 turbines", devices=9), State("9 turbines", devices=9, out=tuple(unused_cables(9)))
     cables = with_collector(document)
     lines = [{key: value for key, value in entry.items() if key != "c_nf_per_km"} for entry in cables["cable"]]
     dry = {**cables, "cable": [], "line": lines}
@@ -160,8 +158,8 @@ def rows(found: Results) -> list[Row]:
     """Paper, ours, why."""
     first = found.states[0]
     assert first.crossing is not None
-    table: list[Row] = [
-        (
+    table = [
+        Row(
             "farm's Bode crossing, 8 turbines, SCR 1.8",
             "20/80 Hz",
             f"{_crossing(first)}; {_mode(first)}",
@@ -195,7 +193,7 @@ def _scenario(verdict: StateVerdict, found: Results) -> Row:
         said += f"; swept again, {reached}; k = {ARDC_K:g} gives {sigma:+.1f} rad/s"
     paper = next(words for key, words in PAPER.items() if verdict.state.name.endswith(key))
     why = "two gains of the PLL are ours" if verdict.verdict == "unstable" else "damping control may stay off"
-    return verdict.state.name, paper, said, why
+    return Row(verdict.state.name, paper, said, why)
 
 
 def _is_farm_s(mode: Any) -> bool:
@@ -209,7 +207,7 @@ def _dampers(found: Results) -> Row:
         f"{growth:+.1f} and {found.gains[name][2]:+.1f}"
         for name, growth in found.dampers.items()
     ]
-    return (
+    return Row(
         f"GSDC at the connection, and ARDC with k = {ARDC_K:g}",
         "10 % of the farm damps only to an extent, ARDC succeeds",
         "; ".join(pairs) + " rad/s, whatever the GSDC's share of 5, 10, 20 or 50 %",
@@ -222,7 +220,7 @@ def _collector(found: Results) -> Row:
         f"{verdict.state.name.removeprefix('8 turbines, ')}: {_sigma(verdict)} and {_sigma(alone)}"
         for verdict, alone in zip(found.collector, found.aggregate, strict=True)
     ]
-    return (
+    return Row(
         "individual turbines on cables, and one that stands for all, 0.28 pu",
         "one aggregate",
         "; ".join(pairs) + " rad/s",
@@ -232,7 +230,7 @@ def _collector(found: Results) -> Row:
 
 def _charging(found: Results) -> Row:
     said = "; ".join(f"{name}: {_sigma(verdict)} rad/s" for name, verdict in found.charging.items())
-    return "9 turbines at 0.30 pu", "stable", said, "the charging of the cables decides, not their impedance"
+    return Row("9 turbines at 0.30 pu", "stable", said, "the charging of the cables decides, not their impedance")
 
 
 def _sigma(verdict: StateVerdict) -> str:
@@ -261,14 +259,13 @@ def main() -> None:
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder with paper.md and figures/")
     docs = parser.parse_args().docs
     found = results(swept())
-    lines = ["| | paper | ours | why different |", "|---|---|---|---|"]
-    lines += ["| " + " | ".join(row) + " |" for row in rows(found)]
+    table = markdown(rows(found))
     plot_states(docs / "figures" / "paper-farm.png", found.states)
     nine = found.charging["cables"].farm
     assert nine is not None
     plot_diagram(docs / "figures" / "paper-farm-diagram.png", nine)
-    rewrite(docs / "paper.md", "\n".join(lines), BEGIN, END)
-    print("\n".join(lines))
+    rewrite(docs / "paper.md", table, BEGIN, END)
+    print(table)
 
 
 if __name__ == "__main__":

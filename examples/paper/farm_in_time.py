@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 import farm_pictures
 import numpy as np
-from comparison import rewrite
-from farm import ARDC_K, DOCS, HERE, Row, _unused, aggregated, swept, with_collector
+from comparison import Row, markdown, rewrite
+from farm import ARDC_K, DOCS, HERE, WITH_COLLECTOR_MW, aggregated, swept, unused_cables, with_collector
+from farm_pictures import Runs
 
 from seqsweep.sweep.verify.farm_runs import FarmRun, verify_farm
 from seqsweep.sweep.verify.farm_story import FarmFault, FarmStory, FarmSwitch, SourceStep
@@ -36,10 +37,8 @@ SHARES = (0.05, 0.10, 0.50)
 COMPARED = (1.375, 1.5, 1.625)
 FAULTS = ("a-b-c", "a-g", "b-c", "b-c-g")
 POWER_MW = 0.49
-WITH_COLLECTOR_MW = 0.28 * 1.632
 
 
-Runs = tuple[FarmRun, ...]
 Task = Callable[[], Runs]
 
 
@@ -71,9 +70,7 @@ class Cases:
     def cabled(self) -> dict[str, Task]:
         """The farm with its collector at 0.28 pu."""
         document = with_collector(self.document, WITH_COLLECTOR_MW)
-        return {
-            "11 turbines": lambda: self.more(first(document, 11), 11),
-        }
+        return {"11 turbines": lambda: self.more(first(document, 11), 11)}
 
     def faults(self) -> dict[str, Task]:
         """Scenario 4: 40 ms of every kind at the connection, SCR 1.8, the turbines' control armed."""
@@ -149,7 +146,7 @@ def _by_grid(runs: dict[str, Runs]) -> dict[float, dict[str, FarmRun]]:
 
 def first(document: dict[str, Any], n: int) -> dict[str, Any]:
     """The farm with its first n turbines alone."""
-    unused = {*(f"wt{k}" for k in range(n + 1, 14)), *(f"tr{k}" for k in range(n + 1, 14)), *_unused(n)}
+    unused = {*(f"wt{k}" for k in range(n + 1, 14)), *(f"tr{k}" for k in range(n + 1, 14)), *unused_cables(n)}
     unused |= {f"{kind}{k}" for kind in "tm" for k in range(n + 1, 14)}
     return {
         key: [each for each in entries if each.get("name") not in unused] if isinstance(entries, list) else entries
@@ -197,7 +194,7 @@ def _scenario(name: str, runs: Runs) -> Row:
     why = "no limit cycle here: synchronism is lost" if without.trajectory.lost_s is not None else ""
     if damped.trajectory.lost_s is not None:
         why = "too hard a step: the turbines that come begin where their load flow puts them"
-    return f"{name}, in time", paper, said, why
+    return Row(f"{name}, in time", paper, said, why)
 
 
 def _told(run: FarmRun) -> str:
@@ -223,7 +220,7 @@ def _comparison(scale: float, runs: dict[str, FarmRun]) -> Row:
     paper = "GSDC of 10 % only to an extent, ARDC succeeds"
     kept = {run.trajectory.lost_s is None for name, run in runs.items() if name.startswith("GSDC")}
     why = "sized by the eigenvalues, the GSDC asks for little current: its limit decides nothing"
-    return (
+    return Row(
         f"SCR {1.8 / scale:.2f}, all on at {ON_S:g} s",
         paper,
         said,
@@ -242,7 +239,7 @@ def _aggregate(subject: str, found: dict[str, Runs], what: str) -> Row:
     for name, runs in found.items():
         alone = [run for run in runs if run.title == "aggregate without damping"]
         pairs.append(f"{name}: {_end(runs[0])} and {_end(alone[0])}")
-    return subject, "one aggregate", "; ".join(pairs), f"the aggregate meets {what}"
+    return Row(subject, "one aggregate", "; ".join(pairs), f"the aggregate meets {what}")
 
 
 def _end(run: FarmRun) -> str:
@@ -255,7 +252,7 @@ def _end(run: FarmRun) -> str:
 def _faults(found: dict[str, Runs]) -> Row:
     said = "; ".join(f"{kind}: {_fault(runs[1])}" for kind, runs in found.items())
     paper = "no false start; 1.7 % after 106 ms"
-    return (
+    return Row(
         "40 ms faults at the connection, 8 turbines",
         paper,
         said,
@@ -279,11 +276,10 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=0.9, help="simulated time of a run (s); less is a trial")
     asked = parser.parse_args()
     found = results(swept(), asked.duration, asked.jobs)
-    lines = ["| | paper | ours | why different |", "|---|---|---|---|"]
-    lines += ["| " + " | ".join(row) + " |" for row in rows(found)]
-    print("\n".join(lines))
-    rewrite(asked.docs / "paper.md", "\n".join(lines), BEGIN, END)
-    farm_pictures.draw_all(asked.docs / "figures", found.scenarios, found.compared)
+    table = markdown(rows(found))
+    print(table)
+    rewrite(asked.docs / "paper.md", table, BEGIN, END)
+    farm_pictures.draw_all(asked.docs / "figures", found.scenarios, found.compared, ON_S)
 
 
 if __name__ == "__main__":

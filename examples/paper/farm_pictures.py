@@ -6,17 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from pictures import _RC, _WIDTH
+from pictures import WIDTH, save_all
 
 from seqsweep.plant.damping.events import Trajectory
 from seqsweep.sweep.verify.farm_runs import FarmRun
 
 _WITHOUT: dict[str, Any] = {"color": "#f2a35c", "lw": 1.0, "zorder": 2}
 _WITH: dict[str, Any] = {"color": "#08306b", "lw": 0.8, "zorder": 3}
+_DASHES: tuple[Any, ...] = ((0, (1, 1)), (0, (4, 1)), "-")
 _SHOWN = ("1.1 Z", "1.25 Z", "1.375 Z", "1.5 Z", "13 turbines")
 _TURBINE = ("1.375 Z", "13 turbines")
 
@@ -39,18 +39,17 @@ _DEVICE: tuple[Quantity, ...] = (
 """Magnitudes are those of the space vector: line to line, and of a line's current, RMS at rest."""
 
 
-def draw_all(folder: Path, scenarios: dict[str, Runs], compared: dict[float, dict[str, FarmRun]]) -> None:
-    """Write every figure into ``folder``."""
+def draw_all(
+    folder: Path, scenarios: dict[str, Runs], compared: dict[float, dict[str, FarmRun]], on_from_s: float
+) -> None:
+    """Write every figure into ``folder``; all that is compared is switched on at ``on_from_s`` (s)."""
     figures = {
-        "line": lambda: line_waves(scenarios),
-        "turbine": lambda: turbine_waves(scenarios),
-        "fft": lambda: spectra(scenarios),
-        "gsdc": lambda: grid_side(compared),
+        "farm-line": lambda: line_waves(scenarios),
+        "farm-turbine": lambda: turbine_waves(scenarios),
+        "farm-fft": lambda: spectra(scenarios),
+        "farm-gsdc": lambda: grid_side(compared, on_from_s),
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context(_RC):
-        for name, figure in figures.items():
-            figure().savefig(folder / f"paper-farm-{name}.png", dpi=170, metadata={"Software": None})
+    save_all(folder, figures)
 
 
 def line_waves(scenarios: dict[str, Runs]) -> Figure:
@@ -78,7 +77,7 @@ def _end_s(run: FarmRun) -> float:
 
 def _waves(columns: dict[str, list[Shown]], quantities: tuple[Quantity, ...], height: float) -> Figure:
     """A column for each scenario, a row for each quantity."""
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(len(quantities), len(columns), sharex=True, sharey="row", squeeze=False)
     for column, (name, trajectories) in enumerate(columns.items()):
         for row, (label, of) in enumerate(quantities):
@@ -100,7 +99,7 @@ def _near_rest(axes: Axes) -> None:
     """Room for what damping control is about: the slip of a lost farm leaves the picture."""
     values = np.concatenate([line.get_ydata() for line in axes.get_lines()])
     low, high = np.nanpercentile(values, [1.0, 99.0])
-    now_low, now_high = axes.get_ylim() if axes.get_autoscaley_on() is False else (low, high)
+    now_low, now_high = axes.get_ylim() if not axes.get_autoscaley_on() else (low, high)
     margin = 0.1 * max(high - low, 2e-3 * abs(high))
     axes.set_ylim(min(low - margin, now_low), max(high + margin, now_high))
 
@@ -113,7 +112,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
 def spectra(scenarios: dict[str, Runs]) -> Figure:
     """The line's current over 300 ms, before the control starts or synchronism is lost, and at the end with it."""
     names = ("1.25 Z", "1.375 Z", "1.5 Z", "11 turbines")
-    figure = Figure(figsize=(_WIDTH, 2.4), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")
     axes = figure.subplots(1, len(names), sharey=True)
     for ax, name in zip(axes, names, strict=True):
         without, damped = (run.trajectory.line for run in scenarios[name][:2])
@@ -141,9 +140,9 @@ def _spectrum(trajectory: Trajectory, end_s: float) -> tuple[np.ndarray, np.ndar
     return f_hz[inside], found[inside] / found[inside].max()
 
 
-def grid_side(compared: dict[float, dict[str, FarmRun]]) -> Figure:
+def grid_side(compared: dict[float, dict[str, FarmRun]], on_from_s: float) -> Figure:
     """r of the line with grid-side dampers of several sizes, and with the turbines' own control."""
-    figure = Figure(figsize=(_WIDTH, 2.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
     axes = figure.subplots(1, len(compared), sharey=True)
     styles = [
         {"color": "#f2a35c", "lw": 1.6},
@@ -157,11 +156,8 @@ def grid_side(compared: dict[float, dict[str, FarmRun]]) -> Figure:
             ax.semilogy(line.decision_s[seen], 100.0 * line.ratio[seen], label=name, **style)
         ax.set_title(f"SCR {1.8 / scale:.2f}")
         ax.set_xlabel("t (s)")
-        ax.axvline(0.28, color="0.8", lw=0.6, zorder=0)
+        ax.axvline(on_from_s, color="0.8", lw=0.6, zorder=0)
     axes[0].set_ylim(0.03, 300.0)
     axes[0].set_ylabel("r of the line (%)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
-
-
-_DASHES: tuple[Any, ...] = ((0, (1, 1)), (0, (4, 1)), "-")

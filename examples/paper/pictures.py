@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,10 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from simulated import THRESHOLD, Run, Story
+from simulated import Run, Story
 from swept import K_PAPER, Study, crossing_of, mode_of, moved_poles, pair_of, siso_of
 
-from seqsweep.plant.damping.control import notch
+from seqsweep.plant.damping.control import THRESHOLD, notch
 from seqsweep.sweep.verify.figure import (
     Curve,
     draw_frequency,
@@ -45,7 +45,8 @@ _IN_TIME: tuple[dict[str, Any], ...] = (
     {"color": "#08306b", "lw": 1.1, "zorder": 3},
     {"color": "#5a5a5a", "lw": 1.1, "ls": (0, (4, 1.5)), "zorder": 4},
 )
-_WIDTH = 7.16
+WIDTH = 7.16
+"""Of a figure as wide as the paper's page (inches)."""
 
 
 def draw_all(
@@ -61,6 +62,11 @@ def draw_all(
         "scenarios": lambda: scenarios(wider),
         "faults": lambda: fault_rides(faults),
     }
+    save_all(folder, figures)
+
+
+def save_all(folder: Path, figures: Mapping[str, Callable[[], Figure]]) -> None:
+    """Draw each figure in the paper's style and write it as paper-NAME.png into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(_RC):
         for name, figure in figures.items():
@@ -72,7 +78,7 @@ def draw_all(
 
 def bode(study: Study) -> Figure:
     """SISO equivalents on 1.0, 1.2 and 1.4 Z, each at the operating point that belongs to the grid."""
-    figure = Figure(figsize=(_WIDTH, 7.4), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 7.4), layout="constrained")
     axes = figure.subplots(4, 3, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2, 3, 2]})
     f = _frequencies()
     for column, scale in enumerate((1.0, 1.2, 1.4)):
@@ -103,7 +109,7 @@ def reshaped(study: Study) -> Figure:
     """Y1 and Y2 at 0.65 MW on 1.4 Z: without damping, with k = 0.5, with the tuned k; all swept."""
     k = study.search.k
     cases = ((0.0, _BLACK), (K_PAPER, _PAPER), (k, _OURS))
-    figure = Figure(figsize=(_WIDTH, 4.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": [3, 2]})
     f = _frequencies()
     for column in range(2):
@@ -159,7 +165,7 @@ def poles(study: Study) -> Figure:
         (K_PAPER, f"k = {K_PAPER}", "o", "#08519c"),
         (k, f"k = {k:.2f}", "^", "#4d9221"),
     )
-    figure = Figure(figsize=(_WIDTH, 3.5), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     for gain, label, marker, colour in cases:
         moved = moved_poles(study.point(0.65, 1.4, gain))
@@ -236,7 +242,7 @@ def _bode_labels(axes: np.ndarray) -> None:
 
 def grid_steps(stories: Sequence[Story]) -> Figure:
     """1.2 Z to 1.4 Z at 0.1 s: power, resonance current, r(t) and both frequencies."""
-    figure = Figure(figsize=(_WIDTH, 7.2), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
     axes = figure.subplots(4, len(stories), sharex=True, sharey="row")
     for column, story in enumerate(stories):
         curves = _curves(story.runs)
@@ -257,7 +263,7 @@ def grid_steps(stories: Sequence[Story]) -> Figure:
 
 def scenarios(stories: Sequence[Story]) -> Figure:
     """Scenarios 1 to 3: active power from SCR 1.8 to weaker grids and to more turbines."""
-    figure = Figure(figsize=(_WIDTH, 7.0), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 7.0), layout="constrained")
     axes = figure.subplots(4, 2, sharex=True)
     for each, story in zip(axes.T.ravel(), stories, strict=False):
         draw_power(each, _curves(story.runs))
@@ -279,7 +285,7 @@ def scenarios(stories: Sequence[Story]) -> Figure:
 
 def fault_rides(stories: Sequence[Story]) -> Figure:
     """Scenario 4: PCC voltage, resonance current and r(t) through faults of 40 ms; damping control armed."""
-    figure = Figure(figsize=(_WIDTH, 5.2), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
     axes = figure.subplots(3, len(stories), sharex=True, sharey="row")
     for column, story in enumerate(stories):
         (run,) = story.runs

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from swept import SCR_1_8, Z_GRID
 
-from seqsweep.plant.damping.control import DampingSettings
+from seqsweep.plant.damping.control import THRESHOLD, DampingSettings
 from seqsweep.plant.damping.events import Event, Fault, FaultKind, GridStep, Scenario, Trajectory, TurbineStep, simulate
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.verify.reading import RunReport, report
@@ -14,7 +14,6 @@ from seqsweep.sweep.verify.runs import has_equilibrium
 
 SOURCE_V = 690.0
 STEP_S = 0.1
-THRESHOLD = 0.03
 FAULTS: tuple[FaultKind, ...] = ("a-b-c", "a-g", "b-c", "b-c-g")
 TURBINES = (9, 11, 13)
 STEPS = (1.1, 1.25, 1.375, 1.5)
