@@ -20,6 +20,8 @@ from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.surrogate.sparse_rational import ELEMENTS, Shape
 from seqsweep.identify.surrogate.surrogate import Chosen, Region, Surrogate, build_surrogate
 
+from .designs import Build, build_ours
+
 _RADIUS = np.sqrt(15.51)  # 95 % quantile of chi-squared with eight degrees: four complex elements
 
 
@@ -61,6 +63,10 @@ def build_rival(responses: Sequence[FrequencyResponse], region: Region) -> Surro
     x, relative = frame.scale.unit(frame.points), (y - middle[:, None]) / size[:, None, None]
     regressors = tuple(_fitted(x, np.hstack([at.real, at.imag])) for at in relative)
     return replace(frame, pieces=(Processes(regressors, middle, size),))
+
+
+BUILDS: dict[str, Build] = {"ours": build_ours, "rival": build_rival}
+"""The two methods by name."""
 
 
 def _fitted(x: np.ndarray, y: np.ndarray) -> Any:

@@ -14,8 +14,7 @@ from harness import ROOT, entry_point
 
 from tests.support.regions import PQV, TURBINE, unseen
 
-from .designs import build_ours
-from .rival import build_rival
+from .rival import BUILDS
 
 BUILD_S, EVALUATE_S, CAMPAIGN_S = 5.0, 2.0, 15.0
 
@@ -27,7 +26,7 @@ def speed(build: str) -> tuple[float, float]:
     random = np.random.default_rng(5)
     responses = [TURBINE.swept(point, 3e-6, random, F_HZ) for point in unseen(PQV, 20, 5)]
     begin = time.process_time()
-    surrogate = {"ours": build_ours, "rival": build_rival}[build](responses, PQV)
+    surrogate = BUILDS[build](responses, PQV)
     built = time.process_time()
     surrogate.evaluate(unseen(PQV, 1000, 6))
     return built - begin, time.process_time() - built

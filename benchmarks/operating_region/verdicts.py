@@ -13,13 +13,14 @@ from seqsweep.tuning.tune import tune_point
 from tests.support import oracle
 from tests.support.regions import PQV, TURBINE, U_V, unseen
 
-from .designs import build_ours, noisy, swept_by
-from .rival import build_rival
+from .designs import noisy, swept_by
+from .rival import BUILDS
 
 PAIRS = 20
 """Grids and operating points that one surrogate is asked for."""
 
 SWEEPS = 20
+"""Operating points of the surrogate that modes are asked of; of those that verdicts are asked of, at most."""
 
 NEAR_RAD_S = 5e-3
 """How near the critical mode is to be."""
@@ -27,8 +28,7 @@ NEAR_RAD_S = 5e-3
 F_HZ = 50.0 + np.logspace(0.0, np.log10(950.0), 60)
 
 CERTAIN = 0.999
-
-BUILDS = {"ours": build_ours, "rival": build_rival}
+"""Stated probability above which a verdict counts as certain."""
 
 _W1 = 100.0 * np.pi
 
@@ -71,6 +71,7 @@ def _tuned(surrogate: Surrogate, pair: Pair) -> PointTuning:
 
 
 def pairs(random: np.random.Generator, n: int = PAIRS) -> list[Pair]:
+    """So many pairs by lot; twenty operating points are drawn for each, because not every one has an edge."""
     seeds = random.integers(1 << 30, size=20 * n)
     found: list[Pair] = []
     for seed in seeds:
