@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from harness import ROOT, Report, run_script
+from harness import ROOT, Report, rewrite, run_script
 
 PAGE = ROOT / "docs" / "accuracy.md"
 BEGIN, END = "<!-- table: python benchmarks/accuracy.py -->", "<!-- end of table -->"
@@ -117,16 +117,14 @@ def _write_page(found: list[Found]) -> None:
     head = (
         "| excitation | peak (pu) | points | simulated (s) | median error | largest error | at (Hz) | stated, median |"
     )
-    lines = [BEGIN, "", head, "|---" * 8 + "|"]
+    lines = [head, "|---" * 8 + "|"]
     lines += [
         f"| {one.way.name} | {one.way.injection['amplitude_pu']:g} | {len(one.f_hz)} | {one.simulated_s:.3g} | "
         f"{np.median(one.error):.1e} | {one.error.max():.1e} | {one.f_hz[one.error.argmax()]:.4g} | "
         f"{np.median(one.stated):.1e} |"
         for one in found
     ]
-    text = PAGE.read_text("utf-8")
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    PAGE.write_text(before + "\n".join([*lines, "", END]) + after, "utf-8")
+    rewrite(PAGE, BEGIN, END, "\n".join(lines))
 
 
 def draw(found: list[Found]) -> None:

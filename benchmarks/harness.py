@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import resource
+import secrets
 import subprocess
 import sys
 import time
@@ -21,6 +22,9 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 KEPT = ROOT / "build" / "benchmarks"
 TABLE_I = ROOT / "examples" / "table1.toml"
+
+FIGURES = "<!-- figures: make evidence -->", "<!-- end of figures -->"
+"""Comments of a page between which a heavy trial writes what it found."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,21 @@ def command(arguments: Sequence[str], environment: Mapping[str, str] | None = No
     if process.returncode:
         raise SystemExit(f"{' '.join(program)} ended with {process.returncode}:\n{message.decode()}")
     return wall_s, usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Options of a benchmark that draws its cases: ``--seed``, ``--jobs``, ``--write`` and ``--check``."""
+    parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="a new one unless given")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--write", action="store_true", help="rewrite the figures of the page")
+    parser.add_argument("--check", action="store_true", help="end with 1 where a bar is missed")
+
+
+def rewrite(page: Path, begin: str, end: str, text: str) -> None:
+    """Put ``text`` between two comments of a page, in the place of what stands there."""
+    before, rest = page.read_text("utf-8").split(begin)
+    _, after = rest.split(end)
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", "utf-8")
 
 
 def entry_point() -> Path:

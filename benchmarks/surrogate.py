@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import secrets
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -20,14 +19,13 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from harness import ROOT
+from harness import FIGURES, ROOT, add_run_options, rewrite
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from operating_region import bars
 
 PAGE = ROOT / "docs" / "surrogate.md"
-BEGIN, END = "<!-- figures: make evidence -->", "<!-- end of figures -->"
 
 BARS = {
     "certificates": (bars.certificates, "designs"),
@@ -51,44 +49,34 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--searches", type=int, default=0, help="searches of the worst point of a bank")
     parser.add_argument("--campaigns", type=int, default=1, help="campaigns that are timed")
     parser.add_argument("--rivals", type=int, default=2, help="as many of each kind for the library's method")
-    parser.add_argument("--seed", type=int, help="a new one unless given")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--write", action="store_true", help="rewrite the figures of the page")
-    parser.add_argument("--check", action="store_true", help="end with 1 where a bar is missed")
+    add_run_options(parser)
     return parser.parse_args()
 
 
 def main() -> int:
     """Run, print, and say whether the bars are met."""
     asked = arguments()
-    seed = secrets.randbelow(10**6) if asked.seed is None else asked.seed
-    print(f"seed {seed}", file=sys.stderr)
+    print(f"seed {asked.seed}", file=sys.stderr)
     parts, met = [], True
     with ProcessPoolExecutor(asked.jobs) as pool:
         for name in asked.only.split(","):
             begin = time.perf_counter()
             bar, option = BARS[name]
-            rows = bar(pool, seed, getattr(asked, option), asked.rivals)
+            rows = bar(pool, asked.seed, getattr(asked, option), asked.rivals)
             parts += [row.line() for row in rows]
             met = met and all(row.met is not False for row in rows)
             print(f"{name}: {time.perf_counter() - begin:.0f} s", file=sys.stderr)
             print(*[row.line() for row in rows], sep="\n", flush=True)
     if asked.write:
-        _write(_page(seed, asked, parts))
+        rewrite(PAGE, *FIGURES, _page(asked, parts))
     return 1 if asked.check and not met else 0
 
 
-def _page(seed: int, asked: argparse.Namespace, lines: list[str]) -> str:
+def _page(asked: argparse.Namespace, lines: list[str]) -> str:
     counts = [*(option for name, (_, option) in BARS.items() if name in asked.only.split(",")), "rivals"]
     told = " ".join(f"--{option} {getattr(asked, option)}" for option in counts)
     only = "" if asked.only == ",".join(BARS) else f" --only {asked.only}"
-    return "\n".join([f"`python benchmarks/surrogate.py --seed {seed} {told}{only}`:", "", bars.HEAD, *lines])
-
-
-def _write(text: str) -> None:
-    page = PAGE.read_text("utf-8")
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    PAGE.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", "utf-8")
+    return "\n".join([f"`python benchmarks/surrogate.py --seed {asked.seed} {told}{only}`:", "", bars.HEAD, *lines])
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import secrets
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -24,12 +23,11 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from harness import KEPT, ROOT
+from harness import FIGURES, KEPT, ROOT, add_run_options, rewrite
 from verdict_families import calibration, kept, score
 from verdict_families.cases import Case, cases_of
 
 PAGE = ROOT / "docs" / "how-often-wrong.md"
-BEGIN, END = "<!-- figures: make evidence -->", "<!-- end of figures -->"
 
 
 def arguments() -> argparse.Namespace:
@@ -41,35 +39,31 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--due", action="store_true", help="only cases in which a verdict is due, rows by formula")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further table after so long")
     parser.add_argument("--calibration", type=int, default=0, help="extra cases near the edge, for the probabilities")
-    parser.add_argument("--seed", type=int, help="a new one unless given")
     parser.add_argument("--only", type=int, help="one table of the seed")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--cache", type=Path, default=KEPT / "swept", help="where swept tables are kept")
-    parser.add_argument("--write", action="store_true", help="rewrite the figures of the page")
-    parser.add_argument("--check", action="store_true", help="end with 1 where a bar is missed")
+    add_run_options(parser)
     return parser.parse_args()
 
 
 def main() -> int:
     """Run, print, and say whether the bars are met."""
     asked = arguments()
-    seed = secrets.randbelow(10**6) if asked.seed is None else asked.seed
     asked.cache.mkdir(parents=True, exist_ok=True)
     share, wanted = (0.0, partial(score.is_due, noise=score.NOISY)) if asked.due else (asked.swept, None)
-    one = partial(cases_of, seed, share_swept=share, grids=asked.grids, cache=asked.cache, is_wanted=wanted)
+    one = partial(cases_of, asked.seed, share_swept=share, grids=asked.grids, cache=asked.cache, is_wanted=wanted)
     if asked.only is not None:
         print(*[score.line_of(case) for case in one(asked.only)], sep="\n")
         return 0
-    print(f"seed {seed}", file=sys.stderr)
-    file = kept.per_run(KEPT / "verdicts", ROOT, seed, asked.grids, f"{share:g}", "due" if asked.due else "all")
+    print(f"seed {asked.seed}", file=sys.stderr)
+    file = kept.per_run(KEPT / "verdicts", ROOT, asked.seed, asked.grids, f"{share:g}", "due" if asked.due else "all")
     goes_on = _until(time.monotonic() + 60.0 * asked.minutes)
     answered = partial(kept.answers, jobs=asked.jobs, goes_on=goes_on)
     tables = list(_told(answered(one, range(asked.tables), file("cases"))))
-    near = _near(answered(partial(calibration.stated, seed), _enough(asked.calibration), file("calibration")))
-    text, met = report(seed, asked, tables, near[: asked.calibration])
+    near = _near(answered(partial(calibration.stated, asked.seed), _enough(asked.calibration), file("calibration")))
+    text, met = report(asked, tables, near[: asked.calibration])
     print(text)
     if asked.write:
-        _write(text)
+        rewrite(PAGE, *FIGURES, text)
     return 1 if asked.check and not met else 0
 
 
@@ -97,15 +91,13 @@ def _enough(wanted: int) -> range:
     return range(round(2.2 * wanted))
 
 
-def report(
-    seed: int, asked: argparse.Namespace, tables: list[list[Case]], near: list[calibration.Stated]
-) -> tuple[str, bool]:
+def report(asked: argparse.Namespace, tables: list[list[Case]], near: list[calibration.Stated]) -> tuple[str, bool]:
     """The figures as Markdown, of what was really judged, and whether every bar is met."""
     cases = [case for of_table in tables for case in of_table]
     bars, parts = score.bars(cases), calibration.bins(near)
     swept = len({c.index for c in cases if c.spec.source != "exact"})
     drawn = "--due" if asked.due else f"--swept {asked.swept:g}"
-    command = f"--seed {seed} --tables {len(tables)} --grids {asked.grids} {drawn}"
+    command = f"--seed {asked.seed} --tables {len(tables)} --grids {asked.grids} {drawn}"
     lines = [
         f"`python benchmarks/verdicts.py {command} --calibration {len(near)}`: {len(cases):,} cases of "
         f"{len({c.index for c in cases}):,} tables, {swept:,} of them swept by the runner. A verdict took "
@@ -125,12 +117,6 @@ def report(
     if parts:
         lines += ["", calibration.table(parts)]
     return "\n".join(lines), all(bar.met for bar in bars) and all(b.held for b in parts)
-
-
-def _write(text: str) -> None:
-    page = PAGE.read_text("utf-8")
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    PAGE.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", "utf-8")
 
 
 if __name__ == "__main__":
