@@ -73,11 +73,14 @@ def _check_one_device(a: Mapping[str, Any], name_a: str, b: Mapping[str, Any], n
             raise MergeError(f"{name_a} and {name_b} are not of one device: {_difference(key, in_a, in_b)}")
 
 
+_ABSENT = "not told"  # of a value that one table has and the other has not, be it null
+
+
 def _difference(key: str, a: Any, b: Any) -> str:
     """What differs, down to the first value that does; of a plant its id before anything else."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
-        inner = next(k for k in ("id", *a, *b) if a.get(k) != b.get(k))
-        return _difference(f"{key} {inner}", a.get(inner), b.get(inner))
+        inner = next(k for k in ("id", *a, *b) if a.get(k, _ABSENT) != b.get(k, _ABSENT))
+        return _difference(f"{key} {inner}", a.get(inner, _ABSENT), b.get(inner, _ABSENT))
     return f"{key} is {_short(a)} in the one and {_short(b)} in the other"
 
 

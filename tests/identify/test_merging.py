@@ -74,6 +74,10 @@ REFUSED = {
         {"plant": {"id": "e", "parameters": {}}},
         "not of one device: plant id is .* in the one and e in the other",
     ),
+    "a null that the other lacks": (
+        {"plant": {"id": "d", "parameters": {"r": 1.0}, "card": None}},
+        "plant card is not told in the one and None in the other",
+    ),
     "another base": ({"bases": {"rated_voltage_v": 400.0, "rated_power_va": 1e6}}, "rated_voltage_v is 690"),
     "another fundamental": ({"f1_hz": 60.0}, "f1_hz is 50"),
 }
