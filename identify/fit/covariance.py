@@ -14,10 +14,10 @@ from .least_squares import (
     Trial,
     block_diagonal,
     datum_variance,
-    floor_cost,
     inverse_r,
     projected_jacobian,
     refine,
+    shows_noise,
     solve_residues,
 )
 from .order import with_pair
@@ -102,7 +102,7 @@ def _rival(problem: Problem, trial: Trial) -> tuple[Rational | None, float]:
     rival's gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
     """
     room = order_of(trial.poles) + 2 <= (len(problem.s) - 1) // 2
-    if trial.cost < 4.0 * floor_cost(problem) or not room:
+    if not shows_noise(problem, trial) or not room:
         return None, 0.0
     more = vector_fit(problem, with_pair(problem, trial), trial.tail, n_iterations=4)
     more = refine(problem, more, n_iterations=3)

@@ -82,6 +82,11 @@ def floor_cost(problem: Problem) -> float:
     return 2 * problem.y.size * problem.floor**2
 
 
+def shows_noise(problem: Problem, trial: Trial) -> bool:
+    """Whether rows are missed by twice their floor or more: only then the misfit tells anything."""
+    return bool(trial.cost >= 4.0 * floor_cost(problem))
+
+
 # Residues for given poles --------------------------------------------------------------------------------------------
 
 

@@ -43,6 +43,9 @@ from .vector_fit import vector_fit
 MAX_ORDER = 24
 """Highest number of poles tried."""
 
+NOISE_FLOOR = 1e-7
+"""Relative misfit below which a higher order no longer counts as better."""
+
 MIN_POINTS = 8
 """Fewest usable rows a model is made from."""
 
@@ -53,7 +56,7 @@ def fit_response(
     response: FrequencyResponse,
     *,
     max_order: int = MAX_ORDER,
-    noise_floor: float = 1e-7,
+    noise_floor: float = NOISE_FLOOR,
     start: RationalModel | None = None,
     n_unstable: int | None = None,
 ) -> RationalModel:
@@ -90,10 +93,14 @@ def fit_response(
     poles, residues eliminated), which also gives the covariance. The noise level is estimated from the misfit, so
     a covariance that is too small by a factor does no harm.
     """
-    settled = settled_response(
-        response, max_order=max_order, noise_floor=noise_floor, start=start, n_unstable=n_unstable
+    return fit_rows(
+        _enough_rows(response),
+        response.f1_hz,
+        max_order=max_order,
+        noise_floor=noise_floor,
+        start=start,
+        n_unstable=_known_unstable(response, n_unstable),
     )
-    return finished(*settled)
 
 
 class Settled(NamedTuple):
@@ -106,23 +113,20 @@ class Settled(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def settled_response(
-    response: FrequencyResponse,
-    *,
-    max_order: int = MAX_ORDER,
-    noise_floor: float = 1e-7,
-    start: RationalModel | None = None,
-    n_unstable: int | None = None,
-) -> Settled:
-    """`fit_response` up to the choice of the poles."""
+def settled_response(response: FrequencyResponse, n_unstable: int | None = None) -> Settled:
+    """`fit_response`, with its defaults, up to the choice of the poles."""
+    return _settled(_enough_rows(response), response.f1_hz, _known_unstable(response, n_unstable))
+
+
+def _enough_rows(response: FrequencyResponse) -> DqData:
+    """The usable rows, `MIN_POINTS` or more."""
     data = to_dq(response)
     if len(data.nu_hz) < MIN_POINTS:
         raise SeqsweepError(
             f"{len(data.nu_hz)} of {len(response)} rows are usable; a rational model needs at least {MIN_POINTS}: "
             "sweep more frequencies, or repair the rows whose status is not 'ok'"
         )
-    known = _proved(response) if n_unstable is None else n_unstable
-    return _settled(data, response.f1_hz, max_order, noise_floor, start, known)
+    return data
 
 
 def fit_rows(
@@ -130,16 +134,21 @@ def fit_rows(
     f1_hz: float,
     *,
     max_order: int = MAX_ORDER,
-    noise_floor: float = 1e-7,
+    noise_floor: float = NOISE_FLOOR,
     start: RationalModel | None = None,
     n_unstable: int | None = None,
 ) -> RationalModel:
     """`fit_response` of rows that are in the dq frame already; ``n_unstable`` None: whatever fits."""
-    return finished(*_settled(data, f1_hz, max_order, noise_floor, start, n_unstable))
+    return finished(*_settled(data, f1_hz, n_unstable, max_order, noise_floor, start))
 
 
 def _settled(
-    data: DqData, f1_hz: float, max_order: int, noise_floor: float, start: RationalModel | None, n_unstable: int | None
+    data: DqData,
+    f1_hz: float,
+    n_unstable: int | None,
+    max_order: int = MAX_ORDER,
+    noise_floor: float = NOISE_FLOOR,
+    start: RationalModel | None = None,
 ) -> Settled:
     problem = weighted(data, noise_floor)._replace(n_unstable=n_unstable)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
@@ -161,10 +170,11 @@ def _settled(
     return Settled(problem, f1_hz, trial, outlying + notes, removed + mirrored)
 
 
-def _proved(response: FrequencyResponse) -> int | None:
-    """Zero unstable poles of its own where the device's disturbed runs came to rest on an ideal source, else None."""
+def _known_unstable(response: FrequencyResponse, told: int | None) -> int | None:
+    """Unstable poles of its own that are told; else zero where disturbed runs came to rest on an ideal source."""
     fact = response.meta.get("stable_on")
-    return 0 if isinstance(fact, Mapping) and fact.get("grid") == "ideal" else None
+    proved = isinstance(fact, Mapping) and fact.get("grid") == "ideal"
+    return 0 if told is None and proved else told
 
 
 def _unexplained_part(problem: Problem, trial: Trial) -> float | None:

@@ -19,7 +19,7 @@ import numpy as np
 from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS
-from .least_squares import Problem, Trial, datum_variance, floor_cost, refine, solve_residues, trial_at
+from .least_squares import Problem, Trial, datum_variance, refine, shows_noise, solve_residues, trial_at
 from .model import Settled, settled_response
 from .partial_fractions import order_of
 from .rational import Rational, RationalModel
@@ -54,10 +54,17 @@ class Pool:
             if key not in self._settled:
                 self._settled[key] = settled_response(response, n_unstable=n_unstable)
                 self._models[key] = finished(*self._settled[key])
-        noisy = [key for key in wanted if _has_noise(self._settled[key])]
-        if len(noisy) > 1 and frozenset(noisy) not in self._together:
-            self._together[frozenset(noisy)] = self._fitted(noisy)
-        return {key: self._together.get(frozenset(noisy), self._models).get(key, self._models[key]) for key in wanted}
+        noisy = [key for key in wanted if _has_room_for_doubt(self._settled[key])]
+        return {**{key: self._models[key] for key in wanted}, **self._doubted_together(noisy)}
+
+    def _doubted_together(self, keys: Sequence[str]) -> dict[str, RationalModel]:
+        """Models of noisy tables with the rivals that they have in common; one table alone has none."""
+        if len(keys) < 2:
+            return {}
+        together = frozenset(keys)
+        if together not in self._together:
+            self._together[together] = self._fitted(keys)
+        return self._together[together]
 
     def _fitted(self, keys: Sequence[str]) -> dict[str, RationalModel]:
         fits = [self._settled[key] for key in keys]
@@ -109,7 +116,7 @@ def _with(problem: Problem, trial: Trial, place: complex) -> Trial:
     return trial_at(problem, poles, trial.tail)
 
 
-def _has_noise(fit: Settled) -> bool:
-    """Whether rows are missed by more than their floor, and are enough for some poles more."""
+def _has_room_for_doubt(fit: Settled) -> bool:
+    """Whether the rows show noise, and are enough for some poles more."""
     room = order_of(fit.trial.poles) + 2 * _MOST_MORE <= (len(fit.problem.s) - 1) // 2
-    return bool(room and fit.trial.cost > 4.0 * floor_cost(fit.problem))
+    return room and shows_noise(fit.problem, fit.trial)

@@ -176,9 +176,10 @@ def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarra
 
 def joint(models: Sequence[RationalModel], errors: Sequence[np.ndarray]) -> np.ndarray:
     """Errors (..., k) of what several tables make together, of `spread` of each: a shared rival's are one error."""
-    own = [np.where(_last(e) & model.shared_rival, 0.0, e) for model, e in zip(models, errors, strict=True)]
-    common = sum(e[..., -1:] for model, e in zip(models, errors, strict=True) if model.shared_rival)
-    return np.concatenate(own if isinstance(common, int) else [*own, common], axis=-1)
+    pairs = list(zip(models, errors, strict=True))
+    own = [np.where(_last(e) & model.shared_rival, 0.0, e) for model, e in pairs]
+    shared = [e[..., -1:] for model, e in pairs if model.shared_rival]
+    return np.concatenate([*own, sum(shared)] if shared else own, axis=-1)
 
 
 def _last(errors: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .dq_data import ELEMENTS
-from .least_squares import Problem, Trial, floor_cost, refine, solve_residues, trial_at
+from .least_squares import Problem, Trial, floor_cost, refine, shows_noise, solve_residues, trial_at
 from .order import narrow_poles, select_order, without_rows
 
 _ALIKE = 15  # neighbouring rows taken to have the same noise
@@ -26,7 +26,7 @@ _TOLERATED = 3.0  # misfits up to so many times the neighbours' keep their full 
 
 def weighted_by_misfit(problem: Problem, trial: Trial) -> Problem | None:
     """The problem with rows weighted by the noise that the misfit shows; None where it shows none, or an even one."""
-    if problem.weighting != "relative" or trial.cost < 4.0 * floor_cost(problem):
+    if problem.weighting != "relative" or not shows_noise(problem, trial):
         return None
     size = np.sqrt(_running(np.mean, _row_misfit(problem, trial) ** 2))
     if size.max() < _UNEVEN * size.min():
