@@ -10,7 +10,8 @@ import numpy as np
 
 from ..table.read import Table
 from ..table.write import write_table
-from .surrogate import AXES, Surrogate
+from .region import AXES
+from .surrogate import Surrogate
 
 
 def write_predicted(path: str | Path, surrogate: Surrogate, points: Sequence[np.ndarray], table: Table) -> None:

@@ -45,6 +45,9 @@ class Region:
         Its ends, in the units of `AXES`, and in those of the parameters.
     parameters : tuple of str
         Plant parameters that are axes besides `AXES`.
+    hull : (k, d + 1) float or None
+        Planes of the convex hull: normals outwards, in parts of the box, and offsets. Inside, n . point + offset is not
+        positive. None: the whole box.
     """
 
     low: np.ndarray

@@ -206,7 +206,7 @@ class Surrogate:
         return inside
 
     def samples(self, n: int) -> np.ndarray:
-        """Points (n', 3) that fill the region evenly, but for the gap of a jump."""
+        """Points (n', d) that fill the region evenly, but for the gap of a jump."""
         points = self.region.samples(n)
         return points[self.holds(points)]
 
