@@ -24,7 +24,7 @@ from ...identify.table.write import write_table
 from ...plant.errors import SeqsweepError
 from ..config.sections import Config, OperatingPointsSection
 from ..run.host import plant_or_card
-from .goals import Goal, goal_of
+from .goals import Admittance, Goal, goal_on
 from .pace import Pace
 
 Sweep = Callable[[Config, Path], None]
@@ -141,9 +141,9 @@ def _goal(config: Config) -> Goal:
     asked = config.sweep.operating_points
     assert asked is not None
     if isinstance(asked.tolerance, float):
-        return goal_of(asked, 0.0, 0.0)
+        return Admittance(asked.tolerance)
     plant = plant_or_card(config)
-    return goal_of(asked, plant.f1_hz, plant.rating.voltage_v)
+    return goal_on(asked.tolerance, plant.f1_hz, plant.rating.voltage_v)
 
 
 def _predicted(

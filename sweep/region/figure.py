@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.tri import Triangulation
 
 _LEAST_POINTS = 8  # fewer show no border
+_LEAST = 1e-12  # below, a doubt is not told from rounding
 
 LABELS = {
     "active_power_mw": "Active power P (MW)",
@@ -190,9 +191,6 @@ def progress_figure(region: Mapping[str, Any]) -> Figure:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(frameon=False)
     return figure
-
-
-_LEAST = 1e-12  # below, nothing is told from rounding
 
 
 def _asked(region: Mapping[str, Any]) -> tuple[float, str]:

@@ -22,7 +22,7 @@ from ...tuning.grids.open import open_grid
 from ...tuning.grids.regions import RegionGrid
 from ...tuning.region.loadflow import Situation, admissible
 from ...tuning.region.scan import Scan, scan, scan_rows
-from ..config.sections import OperatingPointsSection
+from ..config.sections import ToleranceSection
 
 COVERING = 256
 """Points of the region that are looked at on one grid."""
@@ -187,22 +187,19 @@ def _both(surrogate: Surrogate, response: FrequencyResponse, at: np.ndarray, on:
     )
 
 
-def goal_of(asked: OperatingPointsSection, f1_hz: float, rated_voltage_v: float) -> Goal:
-    """What a campaign asks for.
+def goal_on(asked: ToleranceSection, f1_hz: float, rated_voltage_v: float) -> Goal:
+    """What a campaign asks for on grids, of the fundamental (Hz) and the rating (V, line to line) of its plant.
 
     Raises
     ------
     SeqsweepError
         If its grid is none.
     """
-    tolerance = asked.tolerance
-    if isinstance(tolerance, float):
-        return Admittance(tolerance)
-    situations = situations_of(tolerance.grid, f1_hz, tolerance.source_voltage_pu, rated_voltage_v)
-    if tolerance.mode_rad_s is not None:
-        return CriticalMode(tolerance.mode_rad_s, situations)
-    assert tolerance.verdict is not None
-    return Verdict(tolerance.verdict, situations)
+    situations = situations_of(asked.grid, f1_hz, asked.source_voltage_pu, rated_voltage_v)
+    if asked.mode_rad_s is not None:
+        return CriticalMode(asked.mode_rad_s, situations)
+    assert asked.verdict is not None
+    return Verdict(asked.verdict, situations)
 
 
 def situations_of(
