@@ -101,10 +101,10 @@ def gain_for_margin(m_now: float, m_required: float) -> float:
     Raises
     ------
     SeqsweepError
-        If the required margin is not positive.
+        If the required margin is no number above 0.
     """
-    if not m_required > 0.0:
-        raise SeqsweepError(f"the required margin m is {m_required:g}; it must be positive, e.g. 1.4")
+    if not 0.0 < m_required < np.inf:
+        raise SeqsweepError(f"the required margin m is {m_required:g}; needed is a number above 0, such as 1.4")
     return max(0.0, 1.0 - m_now / m_required)
 
 

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 MAX_MISFIT = 0.03
 """Median relative misfit beyond which a fit is not believed."""
 
+MOST_SCALE = 1e6
+"""Largest multiple of a grid, and over one the smallest: beyond it is a slip."""
+
 
 def tune(
     table: Table | Sequence[FrequencyResponse],
@@ -328,15 +331,18 @@ def _check(
 ) -> None:
     if not responses:
         raise SeqsweepError("the table holds no operating point")
-    if not margin > 0.0:
-        raise SeqsweepError(f"the required margin m is {margin:g}; it must be positive, e.g. 1.4")
+    if not 0.0 < margin < np.inf:
+        raise SeqsweepError(f"the required margin m is {margin:g}; needed is a number above 0, such as 1.4")
     fundamentals = sorted({response.f1_hz for response in responses})
     if len(fundamentals) > 1:
         text = ", ".join(f"{f1:g}" for f1 in fundamentals)
         raise SeqsweepError(f"the table holds {len(fundamentals)} fundamentals ({text} Hz): tune them one by one")
-    if not scales or not all(np.isfinite(scale) and scale > 0.0 for scale in scales):
+    if not scales or not all(1.0 / MOST_SCALE <= scale <= MOST_SCALE for scale in scales):
         text = ", ".join(f"{scale:g}" for scale in scales) or "none"
-        raise SeqsweepError(f"scales {text}: needed are numbers above 0; they multiply the grid impedance")
+        raise SeqsweepError(
+            f"scales {text}: needed are numbers above 0, from {1.0 / MOST_SCALE:g} to {MOST_SCALE:g}; they multiply "
+            "the grid impedance"
+        )
     for grid in grids:
         check_fundamental(fundamentals[0], grid)
     for response in responses:

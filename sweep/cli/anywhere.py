@@ -21,10 +21,22 @@ if TYPE_CHECKING:
     from ...tuning.siso import Grid
     from ..worst import ConfirmedWorst
 
+
+def checked_voltage(source_pu: float | None) -> float | None:
+    """``--source-voltage`` (pu), refused where it is none of a source."""
+    from ...tuning.grids.document import check_source_voltage
+
+    if source_pu is not None:
+        check_source_voltage(source_pu, f"--source-voltage {source_pu:g}")
+    return source_pu
+
+
 SourceVoltage = Annotated[
     float | None,
     typer.Option(
-        metavar="PU", help="A surrogate's |v| follows by load flow from this voltage behind grids whose file says none."
+        metavar="PU",
+        callback=checked_voltage,
+        help="A surrogate's |v| follows by load flow from this voltage behind grids whose file says none.",
     ),
 ]
 Power = Annotated[

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from ...tuning.farm.restore import Advice, Demand
     from ...tuning.farm.units import Library
 
-Jobs = Annotated[int | None, typer.Option(metavar="N", help="Threads that sweep; all processors unless given.")]
+Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="Threads that sweep; all processors unless given.")]
 
 
 class Lever(StrEnum):
@@ -131,7 +132,7 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
     from ...tuning.farm.result import states_json, states_text
     from ...tuning.farm.states import judge_states
 
-    if not margin > 0.0:
+    if not 0.0 < margin < inf:
         raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
     content = read_document(document)
     with naming(document):
@@ -152,7 +153,7 @@ def _check_demand(damping: float | None, margin: float | None, probability: floa
         raise WrongInput("a demand asks what would restore it; say by what: --by gain, --by power, or both")
     if damping is not None and not -100.0 < damping < 100.0:
         raise WrongInput(f"--damping {damping:g}: needed is a damping ratio in per cent, such as 5")
-    if margin is not None and not margin > 0.0:
+    if margin is not None and not 0.0 < margin < inf:
         raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
     if not 0.5 <= probability < 1.0:
         raise WrongInput(f"--probability {probability:g}: needed is a number from 0.5 to below 1, such as 0.95")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .anywhere import Parameter, model_of, named_value
+from .anywhere import Parameter, checked_voltage, model_of, named_value
 from .shared import Force, TableFile, WrongInput, check_outputs, check_plot
 from .telling import remark, result
 
@@ -29,7 +29,12 @@ def surrogate(
         str | None, typer.Option(metavar="R+jX", help="Grid (ohm at f1) to search the worst point on.")
     ] = None,
     source_voltage: Annotated[
-        float | None, typer.Option(metavar="PU", help="Source voltage behind the grid: |v| then follows by load flow.")
+        float | None,
+        typer.Option(
+            metavar="PU",
+            callback=checked_voltage,
+            help="Source voltage behind the grid: |v| then follows by load flow.",
+        ),
     ] = None,
     parameter: Parameter = None,
     output: Annotated[

@@ -81,7 +81,11 @@ def _drafted(library: Path) -> str:
     return asked(library, "seqsweep.plant.controllers.draft") + "\n"
 
 
-def plan(campaign: CampaignFile, settings: Settings = None, jobs: int = os.cpu_count() or 1) -> None:
+def plan(
+    campaign: CampaignFile,
+    settings: Settings = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers that the wall time is for.")] = os.cpu_count() or 1,
+) -> None:
     """Print every shot, the simulated seconds and the expected wall time; no shot is fired."""
     from .plan_text import plan_text, plan_values
 

@@ -110,6 +110,10 @@ def test_a_missing_file_is_refused_with_the_way_out(tmp_path):
     assert listing(tmp_path) == []
 
 
+def test_a_plan_for_no_worker_is_refused(tmp_path):
+    assert_refused(command("plan", campaign(tmp_path), "--jobs", "0"), "--jobs")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

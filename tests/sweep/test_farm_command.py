@@ -161,7 +161,8 @@ def test_a_report_of_the_farm_alone_holds_diagram_advice_and_states(folder):
     one = ["--by", "power", "--damping", "6", "-o", folder / "r.json", "--diagram", folder / "d.svg", "--force"]
     assert command("farm", folder / "weak.toml", *one).returncode == 0
     assert command("farm", folder / "weak.toml", "--states", "-o", folder / "s.json", "--force").returncode == 0
-    done = command("report", folder / "r.json", folder / "s.json", "-o", folder / "r.html", "--force")
+    (folder / "s.json").rename(folder / "all states.json")
+    done = command("report", folder / "r.json", folder / "all states.json", "-o", folder / "r.html", "--force")
     assert done.returncode == 0, done.stderr
     page = (folder / "r.html").read_text("utf-8")
     content = json.loads((folder / "r.json").read_text())
@@ -170,6 +171,7 @@ def test_a_report_of_the_farm_alone_holds_diagram_advice_and_states(folder):
     for words in ("One-line diagram", "wt2", "Least norm", "one out, without wt1", "Of 2 switching states", "sha256"):
         assert words in page
     assert "6 % of damping with probability 0.95 holds" in page
+    assert "seqsweep report r.json &#39;all states.json&#39; -o report.html" in page
     assert 'src="' not in page
 
 

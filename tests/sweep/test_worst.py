@@ -127,6 +127,12 @@ REFUSED = {
         ["tune", "s.parquet", "--grid", "0.1+2j", "--source-voltage", "1"],
         "no operating point of the swept region exists on this grid",
     ),
+    "no voltage of a source": (
+        ["tune", "s.parquet", "--grid", "0.01+0.1j", "--source-voltage", "690"],
+        "--source-voltage 690: needed is the voltage behind the grid in per unit",
+    ),
+    "no source": (["judge", "s.parquet", "--grids", "one.toml", "--source-voltage", "0"], "--source-voltage 0: needed"),
+    "not a number": (["surrogate", "s.parquet", "--grid", "0.01+0.1j", "--source-voltage", "nan"], "between 0.5 and"),
     "outside": (
         ["tune", "s.parquet", "--grid", "0.01+0.1j", "--power", "7", "--source-voltage", "1"],
         "active_power_mw = 7 is outside the swept region",

@@ -49,6 +49,17 @@ BAD = {
     "a word": (changed("cable", 0, length_km="three"), "length_km = 'three'; needed is a number"),
     "nothing": (changed("cable", 0, length_km=None), "a cable needs length_km"),
     "a table that is a number": (changed("device", 0, table=3), "table is missing"),
+    "a range": (
+        changed("device", 0, active_power_mw=[0.8, 0.9]),
+        r"active_power_mw = \[0.8, 0.9\]; needed is a number",
+    ),
+    "no number": (
+        changed("device", 0, active_power_mw=float("nan")),
+        "active_power_mw = nan; needed is a number, in MW",
+    ),
+    "Mvar in words": (changed("device", 0, reactive_power_mvar="none"), "reactive_power_mvar = 'none'; .* in Mvar"),
+    "a ratio in words": (changed("source", 0, s_sc_mva=9.5, r_over_x="low"), "r_over_x = 'low'; needed is a number"),
+    "a point that is a number": (changed("device", 0, op=5), "op = 5; needed is an operating point of its table"),
     "both ways": (changed("device", 0, op="p"), "op and active_power_mw are both given"),
 }
 

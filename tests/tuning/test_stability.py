@@ -11,6 +11,7 @@ from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.fit.rational import evaluate
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.crossings import bode_crossings
+from seqsweep.tuning.grids.open import open_grid
 from seqsweep.tuning.margins import (
     critical_scale,
     critical_scr,
@@ -21,6 +22,7 @@ from seqsweep.tuning.margins import (
 from seqsweep.tuning.poles import closed_loop, closed_loop_poles, is_swept
 from seqsweep.tuning.probability import locus_distance
 from seqsweep.tuning.siso import Grid, SeriesRL, impedance_dq, impedance_pn, parse_grid, siso, siso_of_response
+from seqsweep.tuning.tune import tune
 from seqsweep.tuning.verdict import Stability, judge
 from seqsweep.tuning.winding import MAX_STEP_DEG, Band, wind, wound
 
@@ -465,6 +467,22 @@ def test_grid_is_read_as_r_plus_jx() -> None:
         parse_grid("0.012+0.25jj", 50.0)
     with pytest.raises(ValueError, match="scale -1 must be positive"):
         parse_grid("0.012+0.25j", 50.0, -1.0)
+    with pytest.raises(ValueError, match=r"is not R\+jX in ohm"):
+        open_grid("", 50.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("1e300+1e300j", "so large; needed is"), ("1e-300j", "so small; needed is")]
+)
+def test_a_size_that_no_grid_has_is_refused(text: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        parse_grid(text, 50.0)
+
+
+@pytest.mark.parametrize("asked", [{"scales": [1e300]}, {"scales": [1.0, 1e-300]}, {"margin": np.inf}])
+def test_a_multiple_or_margin_beyond_all_numbers_is_refused(asked) -> None:
+    with pytest.raises(ValueError, match=r"needed (are numbers above 0, from|is a number above 0, such as)"):
+        tune([turbine()], SeriesRL(0.012, 0.25, 50.0), **asked)
 
 
 def test_grid_of_another_fundamental_is_refused() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import ceil, pi
+from math import ceil, isfinite, pi
 from typing import Any
 
 from ...plant.errors import nearest
@@ -303,7 +303,7 @@ def source_impedance(entry: Mapping[str, Any], name: str, voltage_v: float) -> c
         if not _positive(entry["s_sc_mva"]):
             raise FarmError(f"{name}: s_sc_mva = {entry['s_sc_mva']!r}; needed is a number above 0, in MVA")
         size = voltage_v**2 / (float(entry["s_sc_mva"]) * 1e6)
-        ratio = float(entry.get("r_over_x", 0.1))
+        ratio = _number(entry, "r_over_x", 0.1, name, "R over X at f1")
         x = size / (1.0 + ratio**2) ** 0.5
         return complex(ratio * x, x)
     r, x = entry.get("r_ohm", 0.0), entry.get("x_ohm", 0.0)
@@ -322,16 +322,18 @@ def _device(entry: Mapping[str, Any], k: int, voltages: Mapping[str, float]) -> 
         raise FarmError(f"{name}: count = {count!r}; needed is a whole number of at least 1")
     if not _positive(rating):
         raise FarmError(f"{name}: rating = {rating!r}; needed is a number above 0, in multiples of the swept device")
-    power = entry.get("active_power_mw")
-    if "op" in entry and power is not None:
+    if not isinstance(entry.get("op", ""), str):
+        raise FarmError(f"{name}: op = {entry['op']!r}; needed is an operating point of its table, in quotes")
+    if "op" in entry and "active_power_mw" in entry:
         raise FarmError(f"{name}: op and active_power_mw are both given; needed is one of them")
+    power = _number(entry, "active_power_mw", 0.0, name, "in MW out of the device")
     return DeviceEntry(
         name=name,
         bus=_bus(entry, "bus", name, voltages),
         table=entry["table"],
         op=entry.get("op"),
-        active_power_mw=None if power is None else float(power),
-        reactive_power_mvar=float(entry.get("reactive_power_mvar", 0.0)),
+        active_power_mw=power if "active_power_mw" in entry else None,
+        reactive_power_mvar=_number(entry, "reactive_power_mvar", 0.0, name, "in Mvar out of the device"),
         count=count,
         rating=float(rating),
     )
@@ -362,6 +364,14 @@ def checked_number(value: Any, where: str) -> float:
     """A number above zero."""
     if not _positive(value):
         raise FarmError(f"{where} = {value!r}; needed is a number above 0")
+    return float(value)
+
+
+def _number(entry: Mapping[str, Any], key: str, otherwise: float, name: str, meaning: str) -> float:
+    """A finite number of an entry, ``otherwise`` where it is not given."""
+    value = entry.get(key, otherwise)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise FarmError(f"{name}: {key} = {value!r}; needed is a number, {meaning}")
     return float(value)
 
 

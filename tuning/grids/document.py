@@ -182,13 +182,19 @@ def _check_top(document: Mapping[str, Any], f1_hz: float) -> None:
     if power is not None and not _is_positive(power):
         raise GridError(f"rated_power_mw = {power!r}: needed is the device's rating in MW, above 0")
     source = document.get("source_voltage_pu")
-    if source is not None and not (_is_positive(source) and _LEAST_PU < source < _MOST_PU):
-        raise GridError(
-            f"source_voltage_pu = {source!r}: needed is the voltage behind the grid in per unit of the device's rated "
-            f"voltage, between {_LEAST_PU:g} and {_MOST_PU:g}"
-        )
+    if source is not None:
+        check_source_voltage(source, f"source_voltage_pu = {source!r}")
     if voltage is not None and not _is_positive(voltage):
         raise GridError(f"voltage_kv = {voltage!r}: needed is the line-to-line voltage at the PCC in kV, above 0")
+
+
+def check_source_voltage(source_pu: Any, given: str) -> None:
+    """Refuse what is no voltage behind a grid; the message begins with what was ``given``."""
+    if not (_is_positive(source_pu) and _LEAST_PU < source_pu < _MOST_PU):
+        raise GridError(
+            f"{given}: needed is the voltage behind the grid in per unit of the device's rated voltage, between "
+            f"{_LEAST_PU:g} and {_MOST_PU:g}"
+        )
 
 
 def _kind(entry: Mapping[str, Any]) -> Kind:

@@ -55,7 +55,7 @@ def open_grid(text: str, f1_hz: float, scale: float = 1.0) -> Grid:
 def is_file(text: str) -> bool:
     """Whether a text names a file rather than an impedance."""
     path = Path(text.partition("#")[0])
-    return path.suffix.lower() in GRID_SUFFIXES or path.exists()
+    return bool(text) and (path.suffix.lower() in GRID_SUFFIXES or path.exists())
 
 
 def open_file(text: str, f1_hz: float) -> Grid | RegionGrid:

@@ -12,6 +12,9 @@ from ...plant.errors import SeqsweepError
 from ..network.descriptor import Descriptor
 from .promise import OnePort
 
+SMALLEST_OHM, LARGEST_OHM = 1e-12, 1e12
+"""|R + jX| (ohm at f1) that a typed grid may have: beyond it is a slip, and squares of it leave the numbers."""
+
 
 @dataclass(frozen=True, slots=True)
 class SeriesRL(OnePort):
@@ -93,7 +96,14 @@ def parse_series(text: str, f1_hz: float, scale: float = 1.0) -> SeriesRL:
     except ValueError:
         raise SeqsweepError(f"grid {text!r} is not R+jX in ohm at f1; write it as 0.012+0.25j") from None
     check_scale(scale)
-    return SeriesRL(z.real * scale, z.imag * scale, f1_hz)
+    grid = SeriesRL(z.real * scale, z.imag * scale, f1_hz)
+    size_ohm = np.hypot(grid.r_ohm, grid.x_ohm)
+    if not SMALLEST_OHM <= size_ohm <= LARGEST_OHM:
+        raise SeqsweepError(
+            f"grid {text!r}: no grid is so {'large' if size_ohm > LARGEST_OHM else 'small'}; needed is "
+            f"|R+jX| from {SMALLEST_OHM:g} to {LARGEST_OHM:g} ohm at f1, such as 0.012+0.25j"
+        )
+    return grid
 
 
 def check_scale(scale: float) -> None:

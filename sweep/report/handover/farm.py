@@ -5,17 +5,18 @@ A farm names its tables itself and has many, so that its JSON needs no table bes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from .repeat import farm_commands
 from .svg import Picture, drawn, points_under
 from .words import farm_sentences
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Hover = Callable[[], Mapping[str, Any]]
+    from .pictures import Hover
 
 ALONE = ("farm", "states")
 """Kinds of results that need no table."""
@@ -62,14 +63,8 @@ def alone_content(inputs: FarmInputs) -> dict[str, Any]:
         "sentences": farm_sentences(inputs.results),
         "files": inputs.files,
         "tables": sorted({device["table"] for device in farm["devices"]}) if farm else [],
-        "commands": _commands(inputs),
+        "commands": farm_commands(inputs),
     }
-
-
-def _commands(inputs: FarmInputs) -> list[str]:
-    made = {"farm": "seqsweep farm FARM.toml -o {}", "states": "seqsweep farm FARM.toml --states -o {}"}
-    lines = [made[file.kind].format(file.name) for file in inputs.files]
-    return [*lines, f"seqsweep report {' '.join(file.name for file in inputs.files)} -o report.html"]
 
 
 def _diagram(farm: Content) -> Picture:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from .inputs import Inputs
+if TYPE_CHECKING:
+    from .farm import FarmInputs
+    from .inputs import Inputs
 
 
 def commands(inputs: Inputs) -> list[str]:
@@ -16,8 +18,18 @@ def commands(inputs: Inputs) -> list[str]:
     for kind, command in _COMMANDS.items():
         if kind in inputs.results:
             lines.append(command(inputs, table, inputs.name_of(kind)))
+    return [*lines, _of_report(inputs)]
+
+
+def farm_commands(inputs: FarmInputs) -> list[str]:
+    """As `commands`, of results of a farm without a table."""
+    made = {"farm": _of_farm, "states": _of_states}
+    return [*(made[file.kind](inputs, "", file.name) for file in inputs.files), _of_report(inputs)]
+
+
+def _of_report(inputs: Inputs | FarmInputs) -> str:
     given = " ".join(shlex.quote(file.name) for file in inputs.files)
-    return [*lines, f"seqsweep report {given} -o report.html"]
+    return f"seqsweep report {given} -o report.html"
 
 
 def _of_table(inputs: Inputs, table: str) -> str:
@@ -64,11 +76,11 @@ def _of_metrics(inputs: Inputs, table: str, output: str) -> str:
     return f"seqsweep metrics {shlex.quote(table)} -o {shlex.quote(output)}"
 
 
-def _of_farm(inputs: Inputs, table: str, output: str) -> str:
+def _of_farm(inputs: Inputs | FarmInputs, table: str, output: str) -> str:
     return f"seqsweep farm FARM.toml -o {shlex.quote(output)}"
 
 
-def _of_states(inputs: Inputs, table: str, output: str) -> str:
+def _of_states(inputs: Inputs | FarmInputs, table: str, output: str) -> str:
     return f"seqsweep farm FARM.toml --states -o {shlex.quote(output)}"
 
 
