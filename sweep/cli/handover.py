@@ -34,8 +34,7 @@ def report(
     """
     from ...identify.files import atomic_file
     from ..report.handover.checklist import read_profiles
-    from ..report.handover.farm import FarmInputs
-    from ..report.handover.inputs import read_any
+    from ..report.handover.inputs import FarmInputs, read_any
     from ..report.handover.page import farm_page, page
     from ..report.handover.pdf import browser, printed
 

@@ -6,9 +6,9 @@ A farm names its tables itself and has many, so that its JSON needs no table bes
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from .inputs import ALONE, FarmInputs
 from .repeat import farm_commands
 from .svg import Picture, drawn, points_under
 from .words import farm_sentences
@@ -18,26 +18,7 @@ if TYPE_CHECKING:
 
     from .pictures import Hover
 
-ALONE = ("farm", "states")
-"""Kinds of results that need no table."""
-
 Content = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class FarmInputs:
-    """Results of `seqsweep farm`, without a table.
-
-    Attributes
-    ----------
-    results : mapping of str to object
-        "farm", "states" or both, as their files have them.
-    files : tuple of File
-        Name, kind and sha256.
-    """
-
-    results: Mapping[str, Any]
-    files: tuple[Any, ...]
 
 
 def farm_content(results: Mapping[str, Any]) -> dict[str, Any]:

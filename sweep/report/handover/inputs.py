@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 from ....identify.table.read import Table, read_metadata, read_table
 from ....plant.errors import SeqsweepError
 from .bank import metadata_of, read_bank
-from .farm import ALONE, FarmInputs
 
 KINDS = {
     "seqsweep-tuning": "tuning",
@@ -23,6 +22,9 @@ KINDS = {
     "seqsweep-judge": "bank",
 }
 """Formats of results and what a report calls them."""
+
+ALONE = ("farm", "states")
+"""Kinds of results that need no table: a farm names its tables itself."""
 
 
 class ReportError(SeqsweepError):
@@ -61,6 +63,22 @@ class Inputs:
     def name_of(self, kind: str) -> str:
         """Name of the file of a kind."""
         return next(file.name for file in self.files if kind in (file.kind, *file.kind.split(" and ")))
+
+
+@dataclass(frozen=True)
+class FarmInputs:
+    """Results of `seqsweep farm`, without a table.
+
+    Attributes
+    ----------
+    results : mapping of str to object
+        "farm", "states" or both, as their files have them.
+    files : tuple of File
+        Name, kind and sha256.
+    """
+
+    results: Mapping[str, Any]
+    files: tuple[File, ...]
 
 
 def read_any(paths: Sequence[Path]) -> Inputs | FarmInputs:

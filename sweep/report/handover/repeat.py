@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from .farm import FarmInputs
-    from .inputs import Inputs
+from .inputs import FarmInputs, Inputs
 
 
 def commands(inputs: Inputs) -> list[str]:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .bank import VERDICTS
 from .bank import sentence_of as bank_sentence
-
-if TYPE_CHECKING:
-    from .inputs import Inputs
+from .inputs import Inputs
 
 RANK = {name: k for k, name in enumerate(VERDICTS)}
 """Verdicts from the worst to the best."""
