@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import tomllib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from .identify.response import FrequencyResponse
 from .identify.surrogate.store import surrogate_of
@@ -14,6 +15,7 @@ from .identify.surrogate.surrogate import Surrogate
 from .identify.table.read import Table, read_table
 from .identify.views.html import MOST, html_table
 from .plant.errors import SeqsweepError
+from .sweep.bank.following import FarmFollowing
 from .sweep.bank.judge import judge_bank
 from .sweep.bank.report import report_text, summary
 from .sweep.farm_sweeps import gain_advice, power_advice
@@ -21,7 +23,9 @@ from .tables import as_table
 from .tuning.bank.entries import check_single, read_bank
 from .tuning.bank.judgement import PairVerdict
 from .tuning.farm.document import farm_of
+from .tuning.farm.entries import FarmEntry
 from .tuning.farm.farm import Farm, judged
+from .tuning.farm.on_grids import farm_on_grids
 from .tuning.farm.restore import DAMPED_BAND, Advice, Damping, Demand, SourceMargin
 from .tuning.farm.units import Library
 from .tuning.grids.open import open_grid
@@ -74,13 +78,15 @@ def _short(value: float | None) -> str:
     return "\N{EN DASH}" if value is None else f"{value:.4g}"
 
 
-def judge(y: FrequencyResponse | Table, grids: str | Path, *, elements: int = 5, jobs: int | None = None) -> Verdicts:
+def judge(
+    y: FrequencyResponse | Table | str | Path, grids: str | Path, *, elements: int = 5, jobs: int | None = None
+) -> Verdicts:
     """Every operating point on every grid of a bank, the worst first.
 
     Parameters
     ----------
-    y : FrequencyResponse or Table
-        Operating points of the device; pn frame.
+    y : FrequencyResponse, Table or path
+        Operating points of the device; pn frame. Or a farm's TOML file: its load flow is solved anew on every grid.
     grids : path
         A folder of grids, a family.toml, a Parquet file, or one file of a grid.
     elements : int
@@ -88,14 +94,14 @@ def judge(y: FrequencyResponse | Table, grids: str | Path, *, elements: int = 5,
     jobs : int, optional
         Workers; as many as there are processors unless given.
     """
-    table = as_table(y)
+    swept, bases, f1_hz = _on_any_grid(y) if isinstance(y, str | Path) else _swept(as_table(y))
     bank = read_bank(Path(grids))
-    check_single(bank, table.responses[0].f1_hz)
+    check_single(bank, f1_hz)
     for remark in bank.remarks:
         warnings.warn(remark, stacklevel=2)
     found = judge_bank(
-        table.responses,
-        table.meta.get("bases", {}),
+        swept,
+        bases,
         "",  # nothing is kept on the disk, so nothing need be told apart
         bank.entries,
         output=None,
@@ -103,8 +109,26 @@ def judge(y: FrequencyResponse | Table, grids: str | Path, *, elements: int = 5,
         elements=elements,
     )
     verdicts = Verdicts(found)
-    verdicts.f1_hz = table.meta["f1_hz"]
+    verdicts.f1_hz = f1_hz
     return verdicts
+
+
+class _Judged(NamedTuple):
+    """What is judged, its rating, and its fundamental (Hz)."""
+
+    what: Sequence[FrequencyResponse] | FarmFollowing
+    bases: Mapping[str, Any]
+    f1_hz: float
+
+
+def _swept(table: Table) -> _Judged:
+    return _Judged(table.responses, table.meta.get("bases", {}), table.meta["f1_hz"])
+
+
+def _on_any_grid(document: str | Path) -> _Judged:
+    entry, library = _entry_and_library(document, ())
+    farm = farm_on_grids(entry, library)
+    return _Judged(FarmFollowing(farm), farm.bases, entry.f1_hz)
 
 
 def farm(document: str | Path, out: Sequence[str] = ()) -> Farm:
@@ -171,6 +195,11 @@ def farm_advice(
 
 
 def _farm_and_library(document: str | Path, out: Sequence[str]) -> tuple[Library, Farm]:
+    entry, library = _entry_and_library(document, out)
+    return library, judged(entry, library)
+
+
+def _entry_and_library(document: str | Path, out: Sequence[str]) -> tuple[FarmEntry, Library]:
     path = Path(document)
     try:
         content = tomllib.loads(path.read_text("utf-8"))
@@ -178,8 +207,7 @@ def _farm_and_library(document: str | Path, out: Sequence[str]) -> tuple[Library
         raise SeqsweepError(f"{path}: no such file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SeqsweepError(f"{path}: not a TOML file: {error}") from None
-    library = Library(lambda name: read_table(path.parent / name))
-    return library, judged(farm_of(content, out), library)
+    return farm_of(content, out), Library(lambda name: read_table(path.parent / name))
 
 
 def surrogate(y: Table) -> Surrogate:

@@ -133,15 +133,19 @@ class Device(NamedTuple):
         return str(self.response.meta.get("op_id", ""))
 
 
-def fitted(response: FrequencyResponse) -> Device:
-    """Rows, what was proved of the device, and its rational model: what does not depend on the grid."""
+def fitted(response: FrequencyResponse, proved: Anchor | None = None) -> Device:
+    """Rows, what was proved of the device, and its rational model: what does not depend on the grid.
+
+    ``proved`` is what is known of it by other ways than the facts of its table.
+    """
     usable = int(np.sum(response.usable))
     if usable < MIN_POINTS:
         problem = f"{usable} of {len(response)} rows are usable, at least {MIN_POINTS} are needed"
         problem += f"; {response.why_lost}" if response.why_lost else ""
         return Device(response, problem=problem)
     rows = rows_of(to_dq(response))
-    anchor, model = _anchored(rows, anchor_of(response.meta, rows, response.f1_hz), response.f1_hz)
+    anchor = anchor_of(response.meta, rows, response.f1_hz) if proved is None else proved
+    anchor, model = _anchored(rows, anchor, response.f1_hz)
     misfit = float(np.median(misfits(rows.data, model)))
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""

@@ -172,8 +172,7 @@ class Surrogate:
         f = self.f1_hz + self.nu_hz if f_hz is None else np.asarray(f_hz, dtype=float)
         told, radius = self._at(np.abs(f - self.f1_hz), found)
         y = np.where((f < self.f1_hz)[:, None, None], told.conj(), told)
-        variance = CORRELATED * (radius / _RADIUS) ** 2 / (2.0 * ELEMENTS)
-        covariance = variance[:, None, None] * np.eye(2 * ELEMENTS)
+        covariance = covariance_of(radius)
         whole = self.region.complete(np.asarray(point))[0]
         meta = {**facts_of(whole, self.region.parameters), "surrogate": True}
         return FrequencyResponse(f, dq_to_pn(y), self.f1_hz, covariance=covariance, meta={**self._facts(), **meta})
@@ -271,6 +270,12 @@ CORRELATED = 7.0
 """Neighbouring rows whose model error is one and the same."""
 
 _RADIUS = 1.392  # root of the 95 % quantile of chi-squared with eight degrees, over eight: radius per standard error
+
+
+def covariance_of(radius: np.ndarray) -> np.ndarray:
+    """Covariance (n, 8, 8) of rows whose 95 % regions have these radii (n,), alike in all directions."""
+    variance = CORRELATED * (radius / _RADIUS) ** 2 / (2.0 * ELEMENTS)
+    return np.asarray(variance[:, None, None] * np.eye(2 * ELEMENTS))
 
 
 class Chosen(NamedTuple):

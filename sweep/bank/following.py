@@ -1,10 +1,10 @@
-"""Dispatches of a device whose operating point follows from each grid of a bank."""
+"""Devices and farms whose operating point follows from each grid of a bank."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -12,9 +12,25 @@ from ...identify.response import FrequencyResponse
 from ...identify.surrogate.surrogate import Surrogate
 from ...plant.errors import SeqsweepError
 from ...tuning.bank.entries import BankEntry
+from ...tuning.farm.on_grids import FarmOnGrids
+from ...tuning.grids.promise import Grid
 from ...tuning.grids.regions import RegionGrid
 from ...tuning.region.loadflow import Situation, named, predicted_on
 from ...tuning.tune import Device, fitted
+
+
+@runtime_checkable
+class Follows(Protocol):
+    """What stands elsewhere on each grid: its names, and what it is on a grid."""
+
+    @property
+    def names(self) -> list[str]: ...
+
+    def __len__(self) -> int: ...
+
+    def device(self, op: int, entry: BankEntry) -> Device:
+        """As it is judged on a grid; with the reason why there is none, where there is none."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +67,58 @@ class Following:
     def device(self, op: int, entry: BankEntry) -> Device:
         """The device at a dispatch on a grid; with the reason why there is none, where there is none."""
         try:
-            grid = entry.open(self.f1_hz)
-            member = grid.member if isinstance(grid, RegionGrid) else grid
+            member = _member(entry, self.f1_hz)
             rated = self._bases.get("rated_voltage_v")
             situation = Situation(entry.grid_id, member, entry.source_voltage_pu(self.source_voltage_pu), rated)
             return fitted(predicted_on(self.surrogate, self.powers[op], situation))
         except SeqsweepError as error:
-            return Device(self._nowhere(op), problem=str(error))
+            return Device(_nowhere(self.names[op], self.f1_hz, self.surrogate.nu_hz), problem=str(error))
 
     @property
     def _bases(self) -> Mapping[str, Any]:
         return self.surrogate.meta.get("bases") or {}
 
-    def _nowhere(self, op: int) -> FrequencyResponse:
-        """A response that carries the dispatch's name and nothing to judge."""
-        f_hz = self.f1_hz + self.surrogate.nu_hz
-        return FrequencyResponse(f_hz, np.zeros((len(f_hz), 2, 2), complex), self.f1_hz, meta={"op_id": self.names[op]})
+
+@dataclass(frozen=True, slots=True)
+class FarmFollowing:
+    """A farm, its load flow solved anew on each grid.
+
+    Attributes
+    ----------
+    farm : FarmOnGrids
+        Ready for any grid.
+    """
+
+    farm: FarmOnGrids
+
+    def __len__(self) -> int:
+        return 1
+
+    @property
+    def names(self) -> list[str]:
+        """The farm's."""
+        return [self.farm.entry.name]
+
+    def device(self, op: int, entry: BankEntry) -> Device:
+        """The farm on a grid; with the reason why it does not stand there, where it does not."""
+        farm = self.farm.entry
+        try:
+            z_ohm, own_pu = _member(entry, farm.f1_hz).at_f1, entry.source_voltage_pu(None)
+            voltage_v = farm.source_voltage_v if own_pu is None else own_pu * farm.voltages_v[farm.source_bus]
+            found = self.farm.on(z_ohm, voltage_v)
+        except SeqsweepError as error:
+            return Device(_nowhere(self.names[op], farm.f1_hz, self.farm.nu_hz), problem=str(error))
+        if found.proved is None:
+            return Device(found.response, problem=found.problem)
+        return fitted(found.response, found.proved)
+
+
+def _member(entry: BankEntry, f1_hz: float) -> Grid:
+    """The grid that a device stands on; of a region the one that stands for all."""
+    grid = entry.open(f1_hz)
+    return grid.member if isinstance(grid, RegionGrid) else grid
+
+
+def _nowhere(name: str, f1_hz: float, nu_hz: np.ndarray) -> FrequencyResponse:
+    """A response that carries a name and nothing to judge."""
+    return FrequencyResponse(f1_hz + nu_hz, np.zeros((len(nu_hz), 2, 2), complex), f1_hz, meta={"op_id": name})

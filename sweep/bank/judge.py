@@ -25,7 +25,7 @@ from ...tuning.bank.entries import BankEntry
 from ...tuning.bank.judgement import PairVerdict, judge_pair
 from ...tuning.tune import Device, fitted
 from ..run import shards
-from .following import Following
+from .following import Follows
 from .pairs import PairFile, Pairs, from_text, to_text
 
 VERSION = "2"
@@ -54,7 +54,7 @@ class Chunk(NamedTuple):
 
 
 def judge_bank(
-    responses: Sequence[FrequencyResponse] | Following,
+    responses: Sequence[FrequencyResponse] | Follows,
     bases: Mapping[str, Any],
     digest: str,
     entries: Sequence[BankEntry],
@@ -69,8 +69,8 @@ def judge_bank(
 
     Parameters
     ----------
-    responses : sequence of FrequencyResponse or Following
-        Operating points of the device, or dispatches whose operating point follows from each grid.
+    responses : sequence of FrequencyResponse or Follows
+        Operating points of the device, or dispatches or a farm whose operating point follows from each grid.
     bases : mapping
         Its rating.
     digest : str
@@ -150,7 +150,7 @@ def _refuse_strangers(folder: Path, chunks: Iterator[Chunk]) -> None:
 
 
 def _judged_chunks(
-    responses: Sequence[FrequencyResponse] | Following, bases: Mapping[str, Any], chunks: Iterator[Chunk], jobs: int
+    responses: Sequence[FrequencyResponse] | Follows, bases: Mapping[str, Any], chunks: Iterator[Chunk], jobs: int
 ) -> Iterator[tuple[str, list[PairVerdict]]]:
     """(key, verdicts) of chunks, as they come; each operating point is fitted when its first chunk is due."""
     of_point = groupby(chunks, key=lambda chunk: chunk.op)
@@ -165,9 +165,9 @@ def _judged_chunks(
     yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks)
 
 
-def _device_of(responses: Sequence[FrequencyResponse] | Following, op: int) -> DeviceOn:
+def _device_of(responses: Sequence[FrequencyResponse] | Follows, op: int) -> DeviceOn:
     """The operating point on any grid: fitted once, or found anew on each."""
-    if isinstance(responses, Following):
+    if isinstance(responses, Follows):
         return partial(responses.device, op)
     device = fitted(responses[op])
     return partial(_the_same, device)
@@ -181,14 +181,14 @@ def _judged(device_on: DeviceOn, chunk: Chunk, bases: Mapping[str, Any]) -> tupl
     return chunk.key, [judge_pair(device_on(entry), entry, bases) for entry in chunk.entries]
 
 
-def _names(responses: Sequence[FrequencyResponse] | Following) -> list[str]:
-    if isinstance(responses, Following):
+def _names(responses: Sequence[FrequencyResponse] | Follows) -> list[str]:
+    if isinstance(responses, Follows):
         return responses.names
     return [str(response.meta.get("op_id", "")) for response in responses]
 
 
 def _with_elements(
-    responses: Sequence[FrequencyResponse] | Following,
+    responses: Sequence[FrequencyResponse] | Follows,
     bases: Mapping[str, Any],
     entries: Sequence[BankEntry],
     pairs: Pairs,

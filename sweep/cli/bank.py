@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .anywhere import Asked, Parameter, Power, SourceVoltage, is_surrogate, model_of, powers_of
-from .shared import NOT_ALL_OK, Force, StableOn, TableFile, check_outputs
+from .shared import NOT_ALL_OK, Elements, Force, StableOn, TableFile, check_outputs
 from .telling import columns, remark, result
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from ...identify.response import FrequencyResponse
     from ..bank.following import Following
+    from ..bank.pairs import Pairs
 
 LINE_S = 5.0
 """Seconds between lines of progress."""
@@ -34,9 +35,7 @@ def judge(
         Path | None, typer.Option("-o", "--output", metavar="JUDGE.parquet", help="Write one row per pair.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Map and damping: .png, .svg, .pdf.")] = None,
-    elements: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Critical value of each element, of the N worst pairs.")
-    ] = 5,
+    elements: Elements = 5,
     power: Power = None,
     source_voltage: SourceVoltage = None,
     parameter: Parameter = None,
@@ -53,8 +52,6 @@ def judge(
     from ...tuning.tune import chosen
     from ..bank.following import Following
     from ..bank.judge import judge_bank
-    from ..bank.report import report_text
-    from ..bank.table import row_of
     from .decide import as_told
 
     check_outputs(output, force, plot, ".parquet")
@@ -83,15 +80,25 @@ def judge(
         jobs=jobs,
         elements=elements,
         discard=force,
-        report=_progress(),
+        report=progress(),
     )
-    f1_hz = content.meta["f1_hz"]
+    tell_pairs(verdicts, content.meta["f1_hz"], output, plot, {"table_sha256": content.meta["sha256"]})
+
+
+def tell_pairs(
+    verdicts: Pairs, f1_hz: float, output: Path | None, plot: Path | None, provenance: Mapping[str, str]
+) -> None:
+    """Print the pairs, write and draw them, and end with the status that says whether every one was judged."""
+    from ..bank.report import report_text
+    from ..bank.table import row_of
+
     result(lambda: report_text(verdicts, f1_hz, columns()), lambda: [row_of(verdict, f1_hz) for verdict in verdicts])
     if output is not None:
         from ..bank.table import write_judge
         from ..run import shards
 
-        write_judge(verdicts, f1_hz, output, {"table_sha256": content.meta["sha256"], "grids": len(entries)})
+        grids = len({verdict.grid_id for verdict in verdicts})
+        write_judge(verdicts, f1_hz, output, {**provenance, "grids": grids})
         shards.remove(shards.folder_of(output))
     if plot is not None:
         from ..bank.figure import plot_bank
@@ -101,7 +108,7 @@ def judge(
         raise typer.Exit(NOT_ALL_OK)
 
 
-def _progress() -> Callable[[int, int], None]:
+def progress() -> Callable[[int, int], None]:
     """A line on stderr now and then."""
     begin = last = time.monotonic()
     first = -1

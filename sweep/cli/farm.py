@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
 from math import inf
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shared import Force, WrongInput, check_new, check_outputs, check_plot, check_suffix
+from .shared import Elements, Force, WrongInput, check_new, check_outputs, check_plot, check_suffix
 from .telling import remark, result
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ...tuning.farm.restore import Advice, Demand
     from ...tuning.farm.units import Library
 
-Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="Threads that sweep; all processors unless given.")]
+Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="Workers; as many as processors unless given.")]
 
 
 class Lever(StrEnum):
@@ -56,6 +56,11 @@ def farm(
             metavar="M", help="Margin m at the source: asked with --by, or where control may stop (--states)."
         ),
     ] = None,
+    grids: Annotated[
+        Path | None,
+        typer.Option(metavar="BANK", help="Judge it on every grid of a bank, each with a load flow of its own."),
+    ] = None,
+    elements: Elements = 5,
     by: Annotated[
         list[Lever] | None, typer.Option(help="What can be changed: damping gains, powers given up; repeatable.")
     ] = None,
@@ -71,11 +76,15 @@ def farm(
     from ...tuning.farm.advice_text import advice_text
     from ...tuning.farm.result import text_of, to_json
 
-    check_outputs(output, force, plot, ".json")
+    check_outputs(output, force, plot, ".json" if grids is None else ".parquet")
     check_plot(diagram)
     if table is not None:
         check_new(table, force)
         check_suffix(table, ".parquet")
+    if grids is not None:
+        others = {"--states": states, "--by": by, "--table": table, "--diagram": diagram, "--margin": margin}
+        _check_alone(others)
+        return _all_grids(document, out or [], grids, (output, plot), elements, jobs, force)
     if states:
         return _all_states(document, out or [], 1.0 if margin is None else margin, output, plot)
     _check_demand(damping, margin, probability, by)
@@ -144,6 +153,59 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
         from ..report.farm_states import plot_states
 
         plot_states(plot, found)
+
+
+def _check_alone(others: Mapping[str, object]) -> None:
+    """Refuse what asks something of one farm on one source, where many grids are asked about."""
+    for option, given in others.items():
+        if given:
+            raise WrongInput(
+                f"--grids judges many grids and {option} asks about one farm on one source: give one of them"
+            )
+
+
+def _all_grids(
+    document: Path,
+    out: list[str],
+    grids: Path,
+    written: tuple[Path | None, Path | None],
+    elements: int,
+    jobs: int | None,
+    force: bool,
+) -> None:
+    """The farm on every grid of a bank: table, Parquet file and map, as `judge` makes them of one device."""
+    from hashlib import sha256
+
+    from ...tuning.bank.entries import check_single, read_bank
+    from ...tuning.farm.document import farm_of
+    from ...tuning.farm.on_grids import farm_on_grids
+    from ..bank.following import FarmFollowing
+    from ..bank.judge import judge_bank
+    from .bank import progress, tell_pairs
+
+    content, library = read_document(document), library_beside(document)
+    with naming(document):
+        farm = farm_on_grids(farm_of(content, out), library)
+    bank = read_bank(grids)
+    for text in bank.remarks:
+        remark(text)
+    check_single(bank, farm.entry.f1_hz)
+    tables = sorted({device.table for device in farm.entry.devices})
+    of_tables = [library.table(name).meta["sha256"] for name in tables]
+    digest = sha256(repr((sorted(map(repr, content.items())), out, of_tables)).encode()).hexdigest()
+    output, plot = written
+    verdicts = judge_bank(
+        FarmFollowing(farm),
+        farm.bases,
+        digest,
+        bank.entries,
+        output=output,
+        jobs=jobs or os.cpu_count() or 1,
+        elements=elements,
+        discard=force,
+        report=progress(),
+    )
+    tell_pairs(verdicts, farm.entry.f1_hz, output, plot, {"farm_sha256": digest})
 
 
 def _check_demand(damping: float | None, margin: float | None, probability: float, by: list[Lever] | None) -> None:

@@ -41,6 +41,9 @@ StableOn = Annotated[
     str | None,
     typer.Option(metavar="ideal|R+jX", help="Source, or grid in ohm at f1, on which the device was seen to be stable."),
 ]
+Elements = Annotated[
+    int, typer.Option(min=0, metavar="N", help="Critical value of each element, of the N worst pairs.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 
 FORMATS = {".parquet": "Parquet", ".json": "JSON"}

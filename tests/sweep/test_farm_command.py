@@ -47,6 +47,26 @@ def test_a_turbine_less_lets_the_others_stand_at_smaller_angles(folder):
     assert less[0]["angle_deg"] < whole[1]["angle_deg"]
 
 
+def test_a_bank_of_grids_is_judged_each_with_its_own_load_flow(folder):
+    """Source impedances of the farm's voltage, some too weak for it; the JSON has what the Parquet file has."""
+    family = '[family]\n[[element]]\nkind = "series"\nr_ohm = 6.4\nx_ohm = [80.0, 150.0, 220.0, 900.0]\n'
+    (folder / "family.toml").write_text(family)
+    outputs = ["-o", folder / "judge.parquet", "--plot", folder / "map.svg", "--jobs", 1, "--json"]
+    done = command("farm", folder / "farm.toml", "--grids", folder / "family.toml", *outputs)
+    assert done.returncode == 0, done.stderr
+    pairs = {pair["grid_id"]: pair for pair in json.loads(done.stdout)}
+    assert [pairs[f"0000{k}"]["verdict"] for k in (1, 2, 4)] == ["stable", "stable", "undecided"]
+    assert "the load flow has no solution" in pairs["00004"]["reason"]
+    assert (folder / "judge.parquet").exists()
+    assert "three turbines" in (folder / "map.svg").read_text()
+
+
+def test_what_asks_about_one_source_is_refused_with_a_bank(folder):
+    done = command("farm", folder / "farm.toml", "--grids", folder, "--states")
+    assert done.returncode == 2
+    assert "--grids judges many grids and --states asks about one farm" in done.stderr
+
+
 def weak(folder: Path) -> Path:
     """The example on a weaker source."""
     text = (EXAMPLE / "farm.toml").read_text("utf-8").replace("s_sc_mva = 9.5", "s_sc_mva = 5.2")

@@ -45,21 +45,44 @@ def load_flow(farm: FarmEntry, drawn: Draw) -> LoadFlow:
     NoLoadFlow
         If there is no solution; the largest part of the power that has one is said.
     """
-    open_circuit, z = _seen_from_terminals(farm)
+    open_circuit, z = on_source(seen_at_f1(farm), farm.source_z_ohm, farm.source_z_ohm, farm.source_voltage_v)
+    return solved(farm.name, open_circuit, z, drawn)
+
+
+def solved(name: str, open_circuit: np.ndarray, z: np.ndarray, drawn: Draw) -> LoadFlow:
+    """The terminals of devices that see V_oc (n,) in V behind Z (n, n) in ohm.
+
+    Raises
+    ------
+    NoLoadFlow
+        If there is no solution.
+    """
     found = _newton(open_circuit, z, drawn, 1.0, open_circuit)
     if found is None:
         raise NoLoadFlow(
-            f"{farm.name}: the load flow has no solution: the network cannot carry the power; "
+            f"{name}: the load flow has no solution: the network cannot carry the power; "
             f"{100.0 * _largest_part(open_circuit, z, drawn):.0f} % of it has one"
         )
     return LoadFlow(found, drawn(np.abs(found)))
 
 
-def _seen_from_terminals(farm: FarmEntry) -> tuple[np.ndarray, np.ndarray]:
-    """V_oc (n,) in V and Z (n, n) in ohm at f1."""
+def seen_at_f1(farm: FarmEntry) -> np.ndarray:
+    """Impedance (n + 1, n + 1) in ohm at f1 of all terminals and, last, of the source's bus, the source in place."""
     ports = [*(device.bus for device in farm.devices), farm.source_bus]
-    z = port_impedance(farm.network, ports, np.array([2j * np.pi * farm.f1_hz]))[0]
-    return z[:-1, -1] * farm.source_voltage_v / farm.source_z_ohm, z[:-1, :-1]
+    z: np.ndarray = port_impedance(farm.network, ports, np.array([2j * np.pi * farm.f1_hz]))[0]
+    return z
+
+
+def on_source(seen: np.ndarray, own_ohm: complex, z_ohm: complex, voltage_v: float) -> tuple[np.ndarray, np.ndarray]:
+    """V_oc (n,) in V and Z (n, n) in ohm at f1 of the terminals, on a source of ``z_ohm`` in place of ``own_ohm``.
+
+    Notes
+    -----
+    The source's admittance changes by 1/z - 1/z_own, which changes Z by a matrix of rank one.
+    """
+    other = 1.0 - z_ohm / own_ohm
+    by_source = seen[:-1, -1] / (z_ohm + other * seen[-1, -1])
+    return by_source * voltage_v, seen[:-1, :-1] - other * by_source[:, None] * seen[-1, :-1]
 
 
 def _newton(open_circuit: np.ndarray, z: np.ndarray, drawn: Draw, part: float, start: np.ndarray) -> np.ndarray | None:

@@ -74,6 +74,19 @@ def follow(system: System, poles: np.ndarray) -> Followed:
     return _followed(Chain(system.loop, np.linalg.solve, lambda m: np.angle(np.linalg.eigvals(m))), nu)
 
 
+def turns_behind(system: System) -> int | None:
+    """Unstable modes of a radial farm on an ideal source at its root, by the turns of all factors but the root's.
+
+    None where the locus cannot be followed, or a device's own modes are not known.
+    """
+    if any(unit.n_unstable is None for unit in system.units):
+        return None
+    chain = Chain(lambda nu: system.tree_factors(nu)[:, :-1], _tree_ratio, _tree_angles)
+    found = _followed(chain, _seeds(system, np.zeros(0, dtype=complex)))
+    own = sum(unit.count * (unit.n_unstable or 0) for unit in system.units)
+    return own - round(2.0 * found.total) if found.trusted else None
+
+
 def _tree_ratio(here: np.ndarray, there: np.ndarray) -> np.ndarray:
     step = product(inverse(Pair(*np.moveaxis(here[..., :4], -1, 0))), Pair(*np.moveaxis(there[..., :4], -1, 0)))
     alone = there[..., 4:] / here[..., 4:]

@@ -6,7 +6,7 @@ whose entry names an operating point takes that point's rows, and what its termi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from ...plant.errors import nearest
 from ..anchor import anchor_of
 from ..rows import rows_of
 from .entries import DeviceEntry, FarmEntry, FarmError
-from .loadflow import LoadFlow, load_flow
+from .loadflow import Draw, LoadFlow, load_flow
 
 FAR = 0.005
 """A terminal voltage further from that of the sweep than this part is warned about."""
@@ -161,18 +161,33 @@ def units_of(farm: FarmEntry, read: ReadTable | Library) -> tuple[tuple[Unit, ..
         If a table does not fit its entry, or the load flow has no solution.
     """
     library = library_of(read)
-    sources = [_source(entry, library, farm) for entry in farm.devices]
-    flow = load_flow(farm, lambda v: _drawn(farm, sources, v))
+    sources = sources_of(farm, library)
+    flow = load_flow(farm, drawing(farm.devices, sources))
+    return units_at(farm, library, sources, flow), flow
+
+
+def units_at(farm: FarmEntry, library: Library, sources: Sequence[Source], flow: LoadFlow) -> tuple[Unit, ...]:
+    """Every device fitted where a load flow has it."""
     there = [_response_at(*pair) for pair in zip(farm.devices, sources, np.abs(flow.voltage_v), strict=True)]
     fits = library.fitted({key: response for response, key in there})
     parts = zip(farm.devices, sources, there, flow.voltage_v, flow.power_va, strict=True)
-    return tuple(_unit(fits, *part) for part in parts), flow
+    return tuple(_unit(fits, *part) for part in parts)
 
 
 def flow_of(farm: FarmEntry, library: Library) -> LoadFlow:
     """The load flow alone."""
-    sources = [_source(entry, library, farm) for entry in farm.devices]
-    return load_flow(farm, lambda v: _drawn(farm, sources, v))
+    return load_flow(farm, drawing(farm.devices, sources_of(farm, library)))
+
+
+def sources_of(farm: FarmEntry, library: Library) -> list[Source]:
+    """What every device is served from.
+
+    Raises
+    ------
+    FarmError
+        If a table does not fit its entry.
+    """
+    return [_source(entry, library, farm) for entry in farm.devices]
 
 
 def _unit(
@@ -242,34 +257,78 @@ def _source(entry: DeviceEntry, library: Library, farm: FarmEntry) -> Source:
     return Source(f"{entry.table}:{op}", table.response(op), None, bases)
 
 
-def _drawn(farm: FarmEntry, sources: list[Source], voltage_v: np.ndarray) -> np.ndarray:
-    """Complex power (n,) in VA that each device draws at its terminal voltage."""
-    drawn = [
-        entry.rating * entry.count * _power(entry, source, float(v))
-        for entry, source, v in zip(farm.devices, sources, voltage_v, strict=True)
-    ]
-    return np.array(drawn)
+def drawing(devices: Sequence[DeviceEntry], sources: Sequence[Source]) -> Draw:
+    """Complex power (n,) in VA that each device draws, as a function of all terminal voltages.
+
+    Devices of one surrogate are asked for together: one by one they cost more than the load flow itself.
+    """
+    factor = np.array([entry.rating * entry.count for entry in devices])
+    fixed = np.array(
+        [
+            0.0 if source.response is None else _measured_power(entry, source, source.response)
+            for entry, source in zip(devices, sources, strict=True)
+        ],
+        dtype=complex,
+    )
+    groups = by_surrogate(devices, sources)
+
+    def drawn(voltage_v: np.ndarray) -> np.ndarray:
+        power = fixed.copy()
+        for group in groups:
+            power[group.at] = _predicted_power(group, voltage_v[group.at])
+        return factor * power
+
+    return drawn
 
 
-def _power(entry: DeviceEntry, source: Source, voltage_v: float) -> complex:
-    if source.surrogate is not None:
-        return _predicted_power(entry, source.surrogate, voltage_v / source.bases["rated_voltage_v"], voltage_v)
-    assert source.response is not None
-    facts = source.response.meta.get("fundamental")
+class Group(NamedTuple):
+    """The devices ``at`` (k,) of one surrogate: their P and Q as points (k, 3), |v| left open, and their base."""
+
+    at: np.ndarray
+    surrogate: Surrogate
+    points: np.ndarray
+    rated_v: float
+
+    def standing(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Operating points (k, 3) at terminal voltages (k,) in V."""
+        points = self.points.copy()
+        points[:, 2] = voltage_v / self.rated_v
+        return points
+
+
+def by_surrogate(devices: Sequence[DeviceEntry], sources: Sequence[Source]) -> list[Group]:
+    """Devices that follow their voltage, by the surrogate that they share."""
+    places: dict[int, list[int]] = {}
+    for k, source in enumerate(sources):
+        if source.surrogate is not None:
+            places.setdefault(id(source.surrogate), []).append(k)
+    found = []
+    for at in places.values():
+        surrogate = sources[at[0]].surrogate
+        assert surrogate is not None
+        points = np.array([[devices[k].active_power_mw, devices[k].reactive_power_mvar, np.nan] for k in at], float)
+        found.append(Group(np.array(at), surrogate, points, float(sources[at[0]].bases["rated_voltage_v"])))
+    return found
+
+
+def _measured_power(entry: DeviceEntry, source: Source, response: FrequencyResponse) -> complex:
+    """What one swept device draws at its operating point (VA)."""
+    facts = response.meta.get("fundamental")
     if facts:
         return complex(facts["active_power_into_device_w"], facts["reactive_power_into_device_var"])
-    power = source.response.meta.get("active_power_mw")
+    power = response.meta.get("active_power_mw")
     if power is None:
         raise FarmError(f"{entry.name}: {source.key} does not say its power; sweep it again, or give active_power_mw")
     return complex(-1e6 * power, 0.0)
 
 
-def _predicted_power(entry: DeviceEntry, surrogate: Surrogate, v_pu: float, voltage_v: float) -> complex:
+def _predicted_power(group: Group, voltage_v: np.ndarray) -> np.ndarray:
     """By the surrogate of the terminal current; beyond the region's voltages, on the way to a solution, by its end."""
-    held = float(np.clip(v_pu, surrogate.region.low[2], surrogate.region.high[2]))
-    point = np.array([[entry.active_power_mw, entry.reactive_power_mvar, held]])
-    current = complex(surrogate.terminal_current(point)[0])
-    return -np.sqrt(3.0) * voltage_v * held / v_pu * current.conjugate()
+    region = group.surrogate.region
+    points = group.standing(voltage_v)
+    points[:, 2] = np.clip(points[:, 2], region.low[2], region.high[2])
+    current = group.surrogate.terminal_current(points)
+    return np.asarray(-np.sqrt(3.0) * points[:, 2] * group.rated_v * current.conj())
 
 
 def _response_at(entry: DeviceEntry, source: Source, voltage_v: float) -> tuple[FrequencyResponse, str]:
@@ -278,14 +337,18 @@ def _response_at(entry: DeviceEntry, source: Source, voltage_v: float) -> tuple[
         return source.response, source.key
     v_pu = float(voltage_v) / source.bases["rated_voltage_v"]
     point = [entry.active_power_mw or 0.0, entry.reactive_power_mvar, v_pu]
-    known_to = float(np.median(source.surrogate.evaluate(np.array(point)).relative))
-    if known_to > KNOWN_TO:
-        raise FarmError(
-            f"{entry.name}: at {entry.active_power_mw:g} MW and {v_pu:.4g} pu the surrogate of {source.key} knows Y "
-            f"only to {100.0 * known_to:.0f} %: sweep more operating points about there"
-        )
+    check_known(entry.name, point, float(np.median(source.surrogate.evaluate(np.array(point)).relative)))
     response = source.surrogate.response(point)
     return response, f"{source.key}:{response.meta['op_id']}"
+
+
+def check_known(name: str, point: Sequence[float] | np.ndarray, known_to: float) -> None:
+    """Refuse a device where its surrogate knows Y only to ``known_to`` of it, if that is too little."""
+    if known_to > KNOWN_TO:
+        raise FarmError(
+            f"{name}: at {point[0]:g} MW and {point[2]:.4g} pu the surrogate of its table knows Y only to "
+            f"{100.0 * known_to:.0f} %: sweep more operating points about there"
+        )
 
 
 def fitted(response: FrequencyResponse) -> tuple[RationalModel, int | None]:
