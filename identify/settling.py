@@ -88,6 +88,73 @@ def first_agreement(v: np.ndarray, i: np.ndarray, tolerance: float) -> Settled:
     return Settled(v[k : k + 1], i[k : k + 1], residual, k, agreed, agreed, _growth(i[k - 1], i[k]))
 
 
+class Agreements:
+    """`first_agreement` of many shots at once, block by block, while their windows come in.
+
+    Parameters
+    ----------
+    n_blocks, limit_blocks : (n,) int
+        Blocks of a window of each shot, and those after which its time is over.
+    tolerance : (n,) float
+        Relative disagreement accepted, of v and of i.
+
+    Attributes
+    ----------
+    agreed, over : (n,) bool
+        Whether two windows agree; whether nothing more is to be heard: they do, are not finite, or time is over.
+    """
+
+    def __init__(self, n_blocks: np.ndarray, limit_blocks: np.ndarray, tolerance: np.ndarray):
+        n = len(n_blocks)
+        self._n_blocks, self._limit_blocks, self._tolerance = n_blocks, limit_blocks, tolerance
+        self.agreed, self.over = np.zeros(n, bool), np.zeros(n, bool)
+        self._sums, self._windows = np.zeros((2, n, 2, 2), complex)
+        self._n_windows = np.zeros(n, int)
+        self._residual, self._growth = np.full(n, np.inf), np.ones(n)
+
+    def hear(self, who: np.ndarray, phasors: np.ndarray, done: int) -> None:
+        """The next blocks of some shots, by their numbers (m,), all of which heard ``done`` blocks before.
+
+        ``phasors`` (m, 2, k, 2) complex are the blocks' sums of v and i.
+        """
+        n_blocks, limit = self._n_blocks[who], self._limit_blocks[who]
+        for block in range(phasors.shape[2]):
+            fresh = phasors[:, :, block]
+            begins = ((done + block) % n_blocks == 0)[:, None, None]
+            self._sums[who] = np.where(begins, fresh, self._sums[who] + fresh)
+            heard = done + block + 1
+            complete = who[(heard % n_blocks == 0) & (heard <= limit) & ~self.over[who]]
+            if len(complete):
+                self._compare(complete)
+        self.over[who] |= done + phasors.shape[2] >= limit
+
+    def _compare(self, who: np.ndarray) -> None:
+        before, after = self._windows[who], self._sums[who]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size, old_size, change = norms(after), norms(before), norms(after - before)
+            relative = np.where(change == 0.0, 0.0, np.where(size != 0.0, change / size, np.inf))
+            growth = np.where(old_size[:, 1] != 0.0, size[:, 1] / old_size[:, 1], 1.0)
+        residual, second = relative.max(axis=1), self._n_windows[who] > 0
+        self._windows[who] = after
+        self._n_windows[who] += 1
+        self._residual[who] = np.where(second, residual, np.inf)
+        self._growth[who] = np.where(second, growth, 1.0)
+        self.agreed[who] = second & (residual <= self._tolerance[who])
+        self.over[who] = second & ((residual <= self._tolerance[who]) | ~np.isfinite(residual))
+
+    def settled(self, shot: int) -> Settled:
+        """What is to be said of a shot that is over."""
+        v, i = self._windows[shot, :, None]
+        agreed, last = bool(self.agreed[shot]), int(self._n_windows[shot]) - 1
+        return Settled(v, i, float(self._residual[shot]), last, agreed, agreed, float(self._growth[shot]))
+
+
+def norms(x: np.ndarray) -> np.ndarray:
+    """Euclidean norms (...) of complex vectors (..., n): to the last bit `numpy.linalg.norm` of each of them."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.sqrt(np.vecdot(x.real, x.real) + np.vecdot(x.imag, x.imag)))
+
+
 def steady_mean(v: np.ndarray, i: np.ndarray, uncertainty: float) -> Settled:
     """The windows of a noisy shot since it is at rest, and how well their mean is known.
 

@@ -49,21 +49,21 @@ def scatter(y: np.ndarray, v: np.ndarray, i: np.ndarray, phi1: float) -> tuple[n
     return np.einsum("eaw,ebw->ab", residual, residual.conj()) / freedom, freedom
 
 
-def propagate(v: np.ndarray, noise: np.ndarray, phi1: float) -> np.ndarray:
-    """Covariance of Y from the noise of the experiments it was solved from.
+def propagate(v: np.ndarray, noise: np.ndarray, phi1: float | np.ndarray) -> np.ndarray:
+    """Covariance of Y from the noise of the experiments it was solved from, at one frequency or at many.
 
     Parameters
     ----------
-    v : (2, 2) complex
+    v : (..., 2, 2) complex
         Voltages the admittance was solved from (V): row = experiment, column = signed frequency f, 2 f1 - f.
-    noise : (2, 2) or (2, 2, 2) complex
+    noise : (2, 2) or (..., 2, 2, 2) complex
         E[e e^H] of an experiment's residual i - Y v (A^2), the same for both or one each.
-    phi1 : float
+    phi1 : float or (...,) float
         Angle of the fundamental voltage's space vector at time zero (rad).
 
     Returns
     -------
-    (8, 8) float
+    (..., 8, 8) float
         Covariance in S^2 over (re, im) of pp, pn, np, nn.
 
     Notes
@@ -71,8 +71,9 @@ def propagate(v: np.ndarray, noise: np.ndarray, phi1: float) -> np.ndarray:
     With columns for experiments, dY = E V^-1, so cov(Y_ab, Y_cd) = sum_e noise_e[a, c] W_eb conj(W_ed), W = V^-1.
     """
     w = np.linalg.inv(components(v, phi1))
-    each = np.broadcast_to(noise, (2, 2, 2))
-    return real_covariance(np.einsum("eac,eb,ed->abcd", each, w, w.conj()).reshape(4, 4))
+    each = np.broadcast_to(noise, (*v.shape[:-2], 2, 2, 2))
+    gamma = np.einsum("...eac,...eb,...ed->...abcd", each, w, w.conj())
+    return real_covariance(gamma.reshape(*v.shape[:-2], 4, 4))
 
 
 def propagate_common(v: np.ndarray, noise: np.ndarray, phi1: float) -> np.ndarray:

@@ -31,20 +31,26 @@ def set_complex(x: np.ndarray, slot: int, value: complex) -> None:
 
 
 def phasors_of(sums: np.ndarray, v_unit: float, i_unit: float) -> list[Phasors]:
-    """Block sums (n_blocks, 8, n_lanes) as phasors at line and mirror, lane by lane, in units of V and A.
+    """Block sums (n_blocks, 8, n_lanes) as phasors at line and mirror, lane by lane; see `phasor_array`."""
+    return [Phasors(v, i) for v, i in phasor_array(sums[None], v_unit, i_unit)]
 
-    ``i_unit`` is negative where the kernel counts the current out of the device. The four sums of products of a
-    quantity with the line's phasor, re re, im im, im re and re im, give the line and, with other signs, the mirror.
+
+def phasor_array(sums: np.ndarray, v_unit: float, i_unit: float) -> np.ndarray:
+    """Block sums (n, n_blocks, 8, n_lanes) as (n n_lanes, 2, n_blocks, 2) phasors of v and i at line and mirror.
+
+    In units of V and A; ``i_unit`` is negative where the kernel counts the current out of the device. The four sums of
+    products of a quantity with the line's phasor, re re, im im, im re and re im, give the line and, with other signs,
+    the mirror.
     """
-    n_blocks, _, n_lanes = sums.shape
-    re_re, im_im, im_re, re_im = sums.reshape(n_blocks, 2, 4, n_lanes).transpose(2, 1, 3, 0)
-    phasors = np.empty((2, n_lanes, n_blocks, 2), complex)
+    n, n_blocks, _, n_lanes = sums.shape
+    re_re, im_im, im_re, re_im = sums.reshape(n, n_blocks, 2, 4, n_lanes).transpose(3, 0, 4, 2, 1)
+    phasors = np.empty((n, n_lanes, 2, n_blocks, 2), complex)
     np.add(re_re, im_im, out=phasors.real[..., 0])
     np.subtract(im_re, re_im, out=phasors.imag[..., 0])
     np.subtract(re_re, im_im, out=phasors.real[..., 1])
     np.add(im_re, re_im, out=phasors.imag[..., 1])
-    phasors.view(float)[...] *= np.array([v_unit, i_unit])[:, None, None, None]
-    return [Phasors(v, i) for v, i in zip(*phasors, strict=True)]
+    phasors.view(float)[...] *= np.array([v_unit, i_unit])[:, None, None]
+    return phasors.reshape(n * n_lanes, 2, n_blocks, 2)
 
 
 class AroundDevice(Protocol):

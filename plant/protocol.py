@@ -239,6 +239,29 @@ class PhasorPlant(Plant, Protocol):
         ...
 
 
+class PhasorRun(Protocol):
+    """Jobs on their way together, listened to in blocks; each stands where its last stretch ended."""
+
+    def go_on(self, who: np.ndarray, n_blocks: int) -> np.ndarray:
+        """Run some jobs, by their numbers (n,), ``n_blocks`` blocks further.
+
+        Returns
+        -------
+        (n, 2, n_blocks, 2) complex
+            Sums of `Phasors` of v (V) and i (A) for each of them; last axis: f and 2 f1 - f.
+        """
+        ...
+
+
+@runtime_checkable
+class LanePlant(PhasorPlant, Protocol):
+    """Optional capability: many jobs that go on stretch by stretch, without a state handed back in between."""
+
+    def phasor_run(self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int) -> PhasorRun | None:
+        """The jobs, ready to go on as `PhasorPlant.run_phasors` would; None where that is as good."""
+        ...
+
+
 class Compensation(NamedTuple):
     """What stands between measurement and controller: ``v_r = v - H_NF(s) (r_ohm + 1j*x_ohm) i_g``.
 

@@ -22,8 +22,9 @@ from ..damping.control import NOTCH_XI
 from ..errors import SeqsweepError
 from ..injection import series_tones, turns
 from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
-from ..protocol import Compensation, Conditions, Job, Phasors, Rating, Record, Source, Trace, Window
-from ..turbine.tone_table import common_period, waveform
+from ..protocol import Compensation, Conditions, Job, PhasorRun, Phasors, Rating, Record, Source, Trace, Window
+from ..turbine.tone_table import FEWEST, common_period, waveform
+from ..under_way import LanesUnderWay, Places, Rider
 from .behind_network import Bases, NetworkLanes, bases_of, direct_line, feeding, no_load
 from .equilibrium import References
 
@@ -155,6 +156,28 @@ class LaneDriven(ABC):
             ends = self._ends(lanes, members, block_steps * n_blocks, networks)
             results += zip(ends, phasors_of(sums, v_unit, i_unit), strict=False)
         return results
+
+    def phasor_run(self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int) -> PhasorRun | None:
+        """Jobs on their way together; see `LanePlant`."""
+        from ..kernels import inverters as kernel
+
+        n_tones = max(n_tones_of(job.injection) for job in jobs)
+        own = getattr(self.run_phasors, "__func__", None) is LaneDriven.run_phasors  # an heir's is asked instead
+        if not own or n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
+            return None
+        riders = [
+            Rider(self._lane(job, window, block_steps, n_tones), 0, job.state.step, window, line_hz, self._tones(job))
+            for job, window in zip(jobs, windows, strict=True)
+            for line_hz in [window.f_hz - self.f1_hz]
+        ]
+        step, table = self._advance("_compensated" if self._compensated else ""), np.zeros((0, 2, kernel.LANES))
+
+        def advance(x: np.ndarray, sums: np.ndarray) -> None:
+            step(table, x, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
+
+        places = Places(kernel.N_STATES, kernel.LINE, kernel.TAPER, kernel.TONES, kernel.N_TONE_SLOTS)
+        units = self.rating.peak_voltage_v, -self.rating.peak_current_a
+        return LanesUnderWay(riders, [advance], places, units, block_steps, self.dt_s)
 
     def trace(self, state: InverterState, conditions: Conditions, n_steps: int) -> tuple[InverterState, Trace]:
         """Go on under ``conditions``, with everything worth seeing; see `MeasuredPlant.trace`.

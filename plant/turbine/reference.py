@@ -31,6 +31,7 @@ from ..protocol import (
     NotSettled,
     OperatingPoint,
     OperatingRange,
+    PhasorRun,
     Phasors,
     Rating,
     Record,
@@ -230,7 +231,7 @@ class ReferenceTurbine:
     def _compensated(self) -> bool:
         return self.compensation != Compensation()
 
-    def _kernel(self, source_kind: str, reactive: bool, table: np.ndarray) -> Callable[..., None]:
+    def kernel_for(self, source_kind: str, reactive: bool, table: np.ndarray) -> Callable[..., None]:
         """The kernel for a source, with reactive power or without, told its table; only that one is compiled."""
         from ..kernels import turbine as kernel
 
@@ -300,6 +301,13 @@ class ReferenceTurbine:
                 results[member] = end, phasors
         return results
 
+    def phasor_run(self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int) -> PhasorRun | None:
+        """Jobs on their way together; see `LanePlant`."""
+        from .under_way import lanes_under_way
+
+        own = getattr(self.run_phasors, "__func__", None) is ReferenceTurbine.run_phasors  # an heir's is asked instead
+        return lanes_under_way(self, jobs, windows, block_steps) if own else None
+
     def trace(self, state: TurbineState, conditions: Conditions, n_steps: int) -> tuple[TurbineState, Trace]:
         """Go on under ``conditions``, with everything worth seeing; see `MeasuredPlant.trace`.
 
@@ -327,7 +335,7 @@ class ReferenceTurbine:
         """State and samples (n_steps, 7) behind R and L."""
         from ..kernels import turbine as kernel
 
-        lane = self._lane(Job(start, None), Window(0.0, 1), 1, 0)
+        lane = self.lane(Job(start, None), Window(0.0, 1), 1, 0)
         self._set_port(lane, start, conditions)
         lanes = np.repeat(lane, kernel.LANES)
         cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
@@ -341,7 +349,7 @@ class ReferenceTurbine:
     ) -> tuple[TurbineState, np.ndarray]:
         """State and samples (n_steps, 7) behind a network, a fault being a part of it."""
         job = Job(start, None)
-        lane = self._lane(job, Window(0.0, 1), 1, 1)
+        lane = self.lane(job, Window(0.0, 1), 1, 1)
         self._set_port(lane, start, replace(conditions, fault_s=SOUND))
         lanes, samples, after = network.traced(lane, job, kind_of(job)[1], p, self.dt_s, conditions.fault_s, n_steps)
         (end,) = self._ends(lanes, [job], n_steps)
@@ -395,18 +403,18 @@ class ReferenceTurbine:
         source, reactive, circuit = kind_of(jobs[0])
         if circuit is not None:
             return network.NetworkKernel(jobs, reactive, table, self.parameters, self.dt_s)
-        return self._kernel(source, reactive, table)
+        return self.kernel_for(source, reactive, table)
 
     def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
         from ..kernels import turbine as kernel
 
         x = aligned_zeros(kernel.array_slots(n_tones), kernel.LANES)
         for lane, (job, window) in enumerate(zip(jobs, windows, strict=True)):
-            x[:, lane] = self._lane(job, window, block_steps, n_tones)
+            x[:, lane] = self.lane(job, window, block_steps, n_tones)
         x[:, len(jobs) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write
         return x
 
-    def _lane(self, job: Job, window: Window, block_steps: int, n_tones: int) -> np.ndarray:
+    def lane(self, job: Job, window: Window, block_steps: int, n_tones: int) -> np.ndarray:
         """One lane's column of the flat array."""
         from ..kernels import turbine as kernel
 

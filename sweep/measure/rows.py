@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import nan
 
@@ -83,8 +84,14 @@ def blank_row(batch: Batch, point: Frequency, status: str, reason: str) -> Row:
 
 def with_admittance(row: Row, y: np.ndarray, covariance: np.ndarray) -> Row:
     """The row with its result: ``y`` (2, 2) in S and ``covariance`` (8, 8) in S^2."""
-    elements = tuple(part for element in y.ravel() for part in (float(element.real), float(element.imag)))
-    return replace(row, y=elements, cov=tuple(pack_covariance(covariance[None])[0].tolist()))
+    ((elements, packed),) = values_of(y[None], covariance[None])
+    return replace(row, y=elements, cov=packed)
+
+
+def values_of(y: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[tuple[float, ...], tuple[float, ...]]]:
+    """``y`` and ``cov`` of rows from admittances (n, 2, 2) in S and covariances (n, 8, 8) in S^2."""
+    elements = np.stack([y.real, y.imag], axis=-1).reshape(len(y), 8)
+    return zip(map(tuple, elements.tolist()), map(tuple, pack_covariance(covariance).tolist()), strict=True)
 
 
 def failed_batch(batch: Batch, status: str, reason: str) -> BatchResult:

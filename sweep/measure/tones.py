@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...identify.fourier import block_phasors, periodic_window
-from ...identify.settling import NOISY_WINDOWS, Settled, first_agreement, steady_mean, windows
-from ...plant.protocol import Job, PhasorPlant, Phasors, Plant, Window
+from ...identify.settling import NOISY_WINDOWS, Agreements, Settled, first_agreement, steady_mean, windows
+from ...plant.protocol import Job, LanePlant, PhasorPlant, PhasorRun, Phasors, Plant, Window
 from ..plan import Batch, Shot
 from .baseline import Baseline, PlantFault, run
 
@@ -47,13 +46,125 @@ def drive(plant: Plant, asked: Sequence[Driven]) -> list[list[Settled]]:
     list of list of Settled
         Of every baseline, in its order of shots.
     """
-    begun = [[_OnItsWay(one.batch, one.baseline, shot) for shot in one.shots] for one in asked]
     if isinstance(plant, PhasorPlant):
-        _drive_by_rounds(plant, [shot for of_one in begun for shot in of_one])
-    else:
-        for of_one in begun:
-            _drive_by_windows(plant, of_one)
-    return [[shot.result for shot in of_one if shot.result is not None] for of_one in begun]
+        settled = iter(_drive_by_rounds(plant, asked))
+        return [[next(settled) for _ in one.shots] for one in asked]
+    return [_drive_by_windows(plant, one) for one in asked]
+
+
+def _drive_by_rounds(plant: PhasorPlant, asked: Sequence[Driven]) -> list[Settled]:
+    """All shots that are not over go on by `RUN_BLOCKS`, again and again.
+
+    A plant that is stepped in lanes fills them with whoever is left, long windows beside short ones, of one operating
+    point or of several. A shot is judged whenever another window of its own is complete.
+    """
+    rounds, run = _Rounds(asked), _under_way(plant, asked)
+    done = 0
+    while len(pending := rounds.pending):
+        rounds.hear(pending, _answer(run, pending), done)
+        done += RUN_BLOCKS
+    return [rounds.settled(k) for k in range(len(rounds))]
+
+
+def _under_way(plant: PhasorPlant, asked: Sequence[Driven]) -> PhasorRun:
+    """All shots, ready to go on: as the plant does it best, else as jobs that are handed back and forth."""
+    block_steps = asked[0].batch.block.steps
+    jobs = [Job(one.baseline.state, shot.injection) for one in asked for shot in one.shots]
+    listening = [shot.window for one in asked for shot in one.shots]
+    best = plant.phasor_run(jobs, listening, block_steps) if isinstance(plant, LanePlant) else None
+    return best or _JobByJob(plant, jobs, listening, block_steps)
+
+
+def _answer(run: PhasorRun, who: np.ndarray) -> np.ndarray:
+    """`PhasorRun.go_on`, held to its promise of as many blocks as asked."""
+    heard, asked = run.go_on(who, RUN_BLOCKS), (len(who), 2, RUN_BLOCKS, 2)
+    if np.shape(heard) != asked:
+        raise PlantFault(f"go_on gave phasors of shape {np.shape(heard)}; {asked} is needed")
+    return heard
+
+
+class _Rounds:
+    """The shots of some baselines, and what was heard of them less what their baselines let hear."""
+
+    def __init__(self, asked: Sequence[Driven]):
+        self._of = [(one.batch, one.baseline, shot) for one in asked for shot in one.shots]
+        self._limit_blocks = np.array([_limit_blocks(*of) for of in self._of])
+        self._noisy = np.array([baseline.noisy for _, baseline, _ in self._of])
+        self._unperturbed = _unperturbed(self._of)
+        n_blocks = np.array([shot.window.n_blocks for _, _, shot in self._of])
+        tolerance = np.array([batch.limits.tolerance for batch, _, _ in self._of])
+        self._n_blocks, self._quiet = n_blocks, Agreements(n_blocks, self._limit_blocks, tolerance)
+        self._heard: list[tuple[np.ndarray, np.ndarray]] = []
+        self._known: dict[int, Settled] = {}
+        self._over = np.zeros(len(self), bool)
+
+    def __len__(self) -> int:
+        return len(self._of)
+
+    @property
+    def pending(self) -> np.ndarray:
+        """Numbers of the shots that are not over."""
+        return np.flatnonzero(~self._over)
+
+    def hear(self, who: np.ndarray, phasors: np.ndarray, done: int) -> None:
+        """The next blocks (n, 2, `RUN_BLOCKS`, 2) of some shots, which heard ``done`` of them before."""
+        due = done + RUN_BLOCKS
+        heard = phasors - self._unperturbed[who]
+        self._heard.append((who, heard))
+        quiet = ~self._noisy[who]
+        self._quiet.hear(who[quiet], heard[quiet], done)
+        self._over[who[quiet]] = self._quiet.over[who[quiet]]
+        another = (due // self._n_blocks[who] > done // self._n_blocks[who]) | (due >= self._limit_blocks[who])
+        for k in who[~quiet & another].tolist():
+            self._judge(k, due)
+
+    def settled(self, k: int) -> Settled:
+        """What is to be said of shot ``k``, which is over."""
+        if self._noisy[k]:
+            return self._known[k]
+        if self._quiet.agreed[k]:
+            return self._quiet.settled(k)
+        result = self._settled(k, over=True)
+        assert result is not None
+        return result
+
+    def _judge(self, k: int, due: int) -> None:
+        over = due >= self._limit_blocks[k]
+        result = self._settled(k, over)
+        if result is not None and (over or result.agreed or not isfinite(result.residual)):
+            self._known[k], self._over[k] = result, True
+
+    def _settled(self, k: int, over: bool) -> Settled | None:
+        """All that was heard of a shot, judged."""
+        rounds = [heard[np.searchsorted(who, k)] for who, heard in self._heard if k in who]
+        return _settled(*self._of[k], [Phasors(v, i) for v, i in rounds], over)
+
+
+def _unperturbed(of: Sequence[tuple[Batch, Baseline, Shot]]) -> np.ndarray:
+    """What every block of every shot hears of its baseline, (n, 2, 1, 2); both shots of a point hear the same."""
+    known: dict[tuple[int, Window], Phasors] = {}
+    for batch, baseline, shot in of:
+        key = id(baseline), shot.window
+        if key not in known:
+            known[key] = _heard_of(baseline, batch, shot.window)
+    heard = [known[id(baseline), shot.window] for _, baseline, shot in of]
+    return np.array([[x.v, x.i] for x in heard])[:, :, None]
+
+
+class _JobByJob:
+    """Jobs of a plant that are handed back and forth, one by one; see `PhasorRun`."""
+
+    def __init__(self, plant: PhasorPlant, jobs: list[Job], windows: list[Window], block_steps: int):
+        self._plant, self._jobs, self._windows, self._block_steps = plant, jobs, windows, block_steps
+
+    def go_on(self, who: np.ndarray, n_blocks: int) -> np.ndarray:
+        """`PhasorRun.go_on`."""
+        jobs, windows = [self._jobs[k] for k in who], [self._windows[k] for k in who]
+        answers = _run_phasors(self._plant, jobs, windows, self._block_steps, n_blocks)
+        for k, job, window, (state, _) in zip(who.tolist(), jobs, windows, answers, strict=True):
+            self._jobs[k] = Job(state, job.injection)
+            self._windows[k] = window._replace(first_block=window.first_block + n_blocks)
+        return np.array([[phasors.v, phasors.i] for _, phasors in answers])
 
 
 class _OnItsWay:
@@ -83,34 +194,11 @@ class _OnItsWay:
         if result is not None and (over or result.agreed or not isfinite(result.residual)):
             self.result = result
 
-    @cached_property
-    def unperturbed(self) -> Phasors:
-        """What every block hears of the baseline."""
-        return _heard_of(self.baseline, self.batch, self.of.window)
 
-
-def _drive_by_rounds(plant: PhasorPlant, shots: Sequence[_OnItsWay]) -> None:
-    """All shots that are not over go on by `RUN_BLOCKS`, again and again.
-
-    A plant that is stepped in lanes fills them with whoever is left, long windows beside short ones, of one operating
-    point or of several. A shot is judged whenever another window of its own is complete.
-    """
-    done = 0
-    while pending := [shot for shot in shots if shot.result is None]:
-        listening = [shot.window(done) for shot in pending]
-        block_steps = pending[0].batch.block.steps
-        answers = _run_phasors(plant, [shot.job for shot in pending], listening, block_steps, RUN_BLOCKS)
-        due = done + RUN_BLOCKS
-        for shot, window, (state, phasors) in zip(pending, listening, answers, strict=True):
-            shot.goes_on(state, _less(phasors, shot.unperturbed))
-            if due // window.n_blocks > done // window.n_blocks or due >= shot.limit_blocks:
-                shot.judge(due)
-        done = due
-
-
-def _drive_by_windows(plant: Plant, shots: Sequence[_OnItsWay]) -> None:
+def _drive_by_windows(plant: Plant, asked: Driven) -> list[Settled]:
     """All shots of a baseline that are not over go on until each of them has another window that can be judged."""
-    batch, baseline = shots[0].batch, shots[0].baseline
+    batch, baseline = asked.batch, asked.baseline
+    shots = [_OnItsWay(batch, baseline, shot) for shot in asked.shots]
     unperturbed, done = baseline.state, 0
     while pending := [shot for shot in shots if shot.result is None]:
         longest = max(_blocks_to_go(baseline, shot.of, done) for shot in pending)
@@ -124,6 +212,7 @@ def _drive_by_windows(plant: Plant, shots: Sequence[_OnItsWay]) -> None:
         for shot, (state, phasors) in zip(pending, answers, strict=True):
             shot.goes_on(state, phasors)
             shot.judge(done)
+    return [shot.result for shot in shots if shot.result is not None]
 
 
 def _first_windows(baseline: Baseline) -> int:

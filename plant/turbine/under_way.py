@@ -1,0 +1,53 @@
+"""The turbine's jobs on their way together, in lanes that are filled anew with whoever is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..injection import series_tones
+from ..lanes import n_tones_of
+from ..protocol import Job, Window
+from ..space_vectors import PHASE_PEAK
+from ..under_way import Advance, LanesUnderWay, Places, Rider
+from .asked import kind_of, order_of
+from .tone_table import FEWEST
+
+if TYPE_CHECKING:
+    from .reference import ReferenceTurbine
+
+
+def lanes_under_way(
+    turbine: ReferenceTurbine, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
+) -> LanesUnderWay | None:
+    """The jobs; None where one of them stands behind a network or has so many tones that a table is cheaper."""
+    from ..kernels import turbine as kernel
+
+    n_tones = max(n_tones_of(job.injection) for job in jobs)
+    if n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
+        return None
+    kinds = sorted({kind_of(job) for job in jobs}, key=order_of)
+    number = {kind: k for k, kind in enumerate(kinds)}
+    riders = [
+        Rider(
+            turbine.lane(job, window, block_steps, n_tones),
+            number[kind_of(job)],
+            job.state.step,
+            window,
+            window.f_hz - turbine.f1_hz,
+            [(f - turbine.f1_hz, v / PHASE_PEAK) for f, v in series_tones(job.injection, job.state.source)],
+        )
+        for job, window in zip(jobs, windows, strict=True)
+    ]
+    places = Places(kernel.N_STATES, kernel.LINE_RE, kernel.TAPER_RE, kernel.TONES, kernel.N_TONE_SLOTS)
+    advance = [_advance(turbine, source, reactive, n_tones, block_steps) for source, reactive, _ in kinds]
+    return LanesUnderWay(riders, advance, places, (PHASE_PEAK, -PHASE_PEAK), block_steps, turbine.dt_s)
+
+
+def _advance(turbine: ReferenceTurbine, source: str, reactive: bool, n_tones: int, block_steps: int) -> Advance:
+    from ..kernels import turbine as kernel
+
+    step: Callable[..., None] = turbine.kernel_for(source, reactive, np.zeros((0, 4, kernel.LANES)))
+    return lambda x, sums: step(x, n_tones, turbine.parameters, turbine.dt_s, block_steps, kernel.SUM_V, sums)
