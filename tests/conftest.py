@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from .support.evidence_page import read, trial_of, written
 
@@ -17,6 +18,9 @@ for _name in ("COLUMNS", "LINES"):  # readline, which pytest imports, gives them
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # begun by a shell's "&": commands would not hear Ctrl-C either
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+settings.register_profile("same", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("same")  # the same examples every time, however busy the machine: no test fails by chance
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "evidence.md"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -15,7 +17,7 @@ import pytest
 
 from seqsweep.plant.states.forks import BoxDied, CannotFork, Forks
 
-from ..support.commands import wait_for
+from ..support.commands import TOP, is_alive, wait_for
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="snapshots by fork need Linux")
 
@@ -59,7 +61,7 @@ class Raises:
 @dataclass(frozen=True)
 class StartsAThread:
     def __call__(self, box):
-        threading.Thread(target=time.sleep, args=(60.0,), daemon=True).start()
+        threading.Thread(target=time.sleep, args=(3600.0,), daemon=True).start()
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Sleeps:
     def __call__(self, box):
         with open(self.told, "a") as file:
             file.write(f" {os.getpid()}")
-        time.sleep(60.0)
+        time.sleep(3600.0)
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,12 @@ def unwilling():
     raise FileNotFoundError("no library")
 
 
-def alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+def asks_one_that_hangs(way, told):
+    """In a process of its own: its box's settled process and nursery are told, then the fork that sleeps."""
+    forks = Forks(Counter)
+    settled, *_ = [forks.act(way[:k], way[k])[2] for k in range(len(way))]
+    Path(told).write_text(f"{settled} {forks._nursery[0].pid}")
+    forks.act(way, Sleeps(told))
 
 
 @pytest.fixture
@@ -134,7 +137,7 @@ def test_the_same_job_again_is_answered_by_another_process_and_alike(forks):
 
 def test_a_position_that_was_let_go_is_reached_again_from_the_nearest_one(forks):
     pids = [forks.act((Add(1),), Add(k))[2] for k in range(8)]  # nine positions, of which four are kept
-    wait_for(lambda: sum(alive(pid) for pid in pids) == 3, 40.0)
+    wait_for(lambda: sum(is_alive(pid) for pid in pids) == 3)
     assert forks.act((Add(1), Add(2)), Add(100))[:2] == (103, (1, 2, 100))
     way = tuple(Add(k) for k in range(1, 9))
     assert forks.act(way, Add(100))[:2] == (136, (*range(1, 9), 100))
@@ -147,7 +150,7 @@ def test_a_branch_goes_on_in_its_own_process_while_the_settled_box_stays(forks):
         pids.add(forks.act(way, Add(k))[2])
         way = (*way, Add(k))
     assert len(pids) == 1
-    assert alive(settled)
+    assert is_alive(settled)
     assert forks.act((Add(1),), Add(50))[2] not in {settled, *pids}
 
 
@@ -167,7 +170,7 @@ def test_a_settled_box_that_is_let_go_takes_its_branches_along_and_comes_back(fo
     for k in (10, 20, 30):
         for way in ((), (Add(k),)):
             forks.act(way, Add(k))
-    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first), 40.0)  # nor a zombie
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first))  # nor a zombie
     assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
 
 
@@ -175,7 +178,7 @@ def test_a_settled_box_that_is_killed_is_settled_again(forks):
     """As the memory killer would: who was asked for next is told, and no branch of it is asked in vain thereafter."""
     settled, branch = forks.act((), Add(1))[2], forks.act((Add(1),), Add(2))[2]
     os.kill(settled, signal.SIGKILL)
-    wait_for(lambda: not alive(branch), 40.0)
+    wait_for(lambda: not is_alive(branch))
     with pytest.raises(BoxDied, match=r"^the box died: SIGKILL"):
         forks.act((Add(1),), Add(3))
     assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
@@ -224,9 +227,9 @@ def test_a_box_with_threads_is_not_forked(forks):
 
 def test_no_process_is_left_behind(forks):
     pids = [forks.act((Add(1),), Add(k))[2] for k in range(3)]
-    assert all(alive(pid) for pid in pids)
+    assert all(is_alive(pid) for pid in pids)
     forks.close()
-    wait_for(lambda: not any(alive(pid) for pid in pids), 40.0)
+    wait_for(lambda: not any(is_alive(pid) for pid in pids))
     assert forks.act((Add(1),), Add(5))[0] == 6  # and it begins anew when asked
 
 
@@ -234,19 +237,14 @@ def test_no_process_is_left_behind(forks):
 def test_a_branch_that_hangs_goes_with_the_process_that_asked(tmp_path, way):
     """The asker is killed while a fork sleeps: nursery and forks follow, whatever they are at."""
     told = tmp_path / "pids"
-    asker = os.fork()
-    if asker == 0:
-        forks = Forks(Counter)
-        settled, *_ = [forks.act(way[:k], way[k])[2] for k in range(len(way))]
-        told.write_text(f"{settled} {forks._nursery[0].pid}")
-        forks.act(way, Sleeps(str(told)))
-        os._exit(0)
+    code = f"from tests.plant.test_forked import *; asks_one_that_hangs({way!r}, {str(told)!r})"
+    asker = subprocess.Popen([sys.executable, "-c", code], cwd=TOP)
     wait_for(lambda: told.exists() and len(told.read_text().split()) == 3)
     pids = [int(pid) for pid in told.read_text().split()]
-    assert all(alive(pid) for pid in pids)
-    os.kill(asker, signal.SIGKILL)
-    os.waitpid(asker, 0)
-    wait_for(lambda: not any(alive(pid) for pid in pids), 40.0)
+    assert all(is_alive(pid) for pid in pids)
+    asker.kill()
+    asker.wait()
+    wait_for(lambda: not any(is_alive(pid) for pid in pids))
 
 
 def test_a_fork_costs_neither_a_box_nor_the_way_to_it(tmp_path):

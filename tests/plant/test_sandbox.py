@@ -6,8 +6,6 @@ import gc
 import os
 import subprocess
 import sys
-import time
-from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -21,6 +19,7 @@ from seqsweep.plant.recordings.recording import RecordingError
 from seqsweep.plant.recordings.waveforms import open_waveforms
 
 from ..support import recording_files as files
+from ..support.commands import is_alive, wait_for
 from .test_recordings import COLUMNS, SAMPLES, N, T
 
 SUPPORT = Path(__file__).parents[1] / "support"
@@ -63,10 +62,8 @@ def test_what_goes_wrong_costs_the_question_alone_and_names_the_file(function, w
 
 def test_a_hang_ends(monkeypatch):
     monkeypatch.setattr(sandbox, "TIME_S", 0.5)
-    began = time.perf_counter()
     with pytest.raises(ForeignFileError, match="not read within"):
-        apart(FILE, "misbehaving:hang")
-    assert time.perf_counter() - began < 20.0
+        apart(FILE, "misbehaving:hang")  # it sleeps for an hour
 
 
 def test_a_refusal_comes_back_as_it_is_and_the_process_serves_on():
@@ -91,12 +88,7 @@ def test_the_process_ends_with_its_host(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     orphan = int(done.stdout)
-    until = time.monotonic() + 10.0
-    with suppress(ProcessLookupError):
-        while time.monotonic() < until:
-            os.kill(orphan, 0)
-            time.sleep(0.05)
-        pytest.fail("the process lives on")
+    wait_for(lambda: not is_alive(orphan))
 
 
 def test_several_recordings_are_open_at_once_each_in_its_process(tmp_path):

@@ -177,6 +177,15 @@ def ended(*arguments, timeout=600, **options):
     return process.returncode, said
 
 
+def holding(output, n_shards):
+    """The environment in which plants of `slow_campaign` stop once so many shards are kept beside ``output``.
+
+    What is to be interrupted is at work then, however late a busy machine comes to it. Who holds leaves a file
+    ``held`` in the same folder, and goes on when it is no longer there.
+    """
+    return {**os.environ, "SEQSWEEP_HOLD": f"{n_shards} {output}"}
+
+
 def shards_of(output):
     """The shards that are kept beside ``output``."""
     return list(output.with_name(output.name + ".parts").glob("?" * 64))
@@ -188,6 +197,14 @@ def wait_for(condition, timeout_s=300.0):
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.005)
+
+
+def is_alive(pid):
+    """Whether a process is there, and not only waits to be taken note of (Linux)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def group_members(group):
@@ -215,6 +232,26 @@ def family_s(pid):
     for member in family:
         family += [child for child, parent in parents.items() if parent == member]
     return sum(used[member] for member in family) / os.sysconf("SC_CLK_TCK")
+
+
+def least_cpu_s(work, bar_s, trials=10):
+    """Least CPU time (s) of ``work()``, of as many trials as it takes to stay below ``bar_s``.
+
+    A neighbour on the same core and the collector of garbage can make any one trial slow.
+    """
+    least = float("inf")
+    for _ in range(trials):
+        begin = _cpu_s()
+        work()
+        least = min(least, _cpu_s() - begin)
+        if least < bar_s:
+            break
+    return least
+
+
+def _cpu_s():
+    """Of this process and of its children that have ended (s)."""
+    return sum(os.times()[:4])
 
 
 def end_group(process):

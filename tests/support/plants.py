@@ -30,7 +30,7 @@ class RecordingTurbine(ReferenceTurbine):
 
 
 class SlowBranch(RLBranch):
-    """The branch, resting for a moment in every call: a campaign long enough to be interrupted."""
+    """The branch, resting for a moment in every call; where it is told to hold, a campaign waits to be interrupted."""
 
     def __init__(self, rest_s: float = 0.02):
         super().__init__()
@@ -38,7 +38,18 @@ class SlowBranch(RLBranch):
 
     def run_phasors(self, jobs, windows, block_steps, n_blocks):
         time.sleep(self.rest_s)
+        _hold()
         return super().run_phasors(jobs, windows, block_steps, n_blocks)
+
+
+def _hold():
+    """Go no further where as many shards are kept as the environment says; see `commands.holding`."""
+    n_shards, _, table = os.environ.get("SEQSWEEP_HOLD", "").partition(" ")
+    if table and len(list(Path(f"{table}.parts").glob("?" * 64))) >= int(n_shards):
+        held = Path(table).with_name("held")
+        held.touch()
+        while held.exists():
+            time.sleep(0.02)
 
 
 class SlowPythonBranch(SlowBranch):

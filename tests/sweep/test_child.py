@@ -8,7 +8,6 @@ import sys
 import time
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import pytest
 
@@ -22,16 +21,9 @@ from seqsweep.sweep.run import host
 from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
 from seqsweep.sweep.run.host import plant_or_card
 
-from ..support.commands import TOP, call, campaign, end_group, start, wait_for
+from ..support.commands import TOP, call, campaign, end_group, is_alive, start, wait_for
 
 BRANCH = PlantSpec("branch-v1", {"r_ohm": 0.2})
-
-
-def alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 # Questions: functions of a plant that a child can find by name
@@ -59,13 +51,11 @@ def kills_itself(plant, number):
 
 
 def sleeps(plant):
-    time.sleep(60.0)
+    time.sleep(3600.0)
 
 
-def leaves_a_grandchild(plant, folder):
-    process = subprocess.Popen(["sleep", "60"])
-    (Path(folder) / "grandchild").write_text(str(process.pid))
-    time.sleep(60.0)
+def starts_a_grandchild(plant):
+    return subprocess.Popen(["sleep", "600"]).pid
 
 
 def prints(plant, n_bytes):
@@ -122,40 +112,39 @@ def test_a_card_holds_plain_values_whatever_the_plant_made_them_of(tmp_path):
 
 def test_a_child_answers_questions_until_one_of_them_ends_it(found_by_name):
     with child(BRANCH) as asked:
-        assert asked.ask(pid_of, 30.0, "late") != os.getpid()
-        assert asked.ask(r_ohm_of, 30.0, "late") == 0.2
+        assert asked.ask(pid_of, 300.0, "late") != os.getpid()
+        assert asked.ask(r_ohm_of, 300.0, "late") == 0.2
         with pytest.raises(ChildFailed, match=r"^no licence for this host$"):
-            asked.ask(raises, 30.0, "late")
+            asked.ask(raises, 300.0, "late")
         with pytest.raises(ChildFailed, match="plant's process died: exit status 7, last words 'segment 7 is on fire'"):
-            asked.ask(partial(dies, status=7), 30.0, "late")
+            asked.ask(partial(dies, status=7), 300.0, "late")
 
 
 @pytest.mark.parametrize(("number", "name"), [(11, "SIGSEGV"), (6, "SIGABRT"), (9, "SIGKILL")])
 def test_a_child_that_is_killed_says_by_which_signal(found_by_name, number, name):
     with child(BRANCH) as asked, pytest.raises(ChildFailed, match=f"died: {name}"):
-        asked.ask(partial(kills_itself, number=number), 30.0, "late")
+        asked.ask(partial(kills_itself, number=number), 300.0, "late")
 
 
 def test_an_answer_that_cannot_be_sent_costs_the_child_alone(found_by_name):
     with child(BRANCH) as asked, pytest.raises(ChildFailed, match="died: exit status 1"):
-        asked.ask(no_answer_that_can_be_sent, 30.0, "late")
+        asked.ask(no_answer_that_can_be_sent, 300.0, "late")
 
 
-def test_a_child_that_overruns_its_time_goes_with_everything_it_started(tmp_path, found_by_name):
+def test_a_child_that_overruns_its_time_goes_with_everything_it_started(found_by_name):
     with child(BRANCH) as asked:
-        pid = asked.ask(pid_of, 30.0, "late")
+        pid, grandchild = asked.ask(pid_of, 300.0, "late"), asked.ask(starts_a_grandchild, 300.0, "late")
         with pytest.raises(ChildFailed, match=r"^it took too long$"):
-            asked.ask(partial(leaves_a_grandchild, folder=str(tmp_path)), 1.0, "it took too long")
-        grandchild = int((tmp_path / "grandchild").read_text())
-        assert alive(grandchild)
-    wait_for(lambda: not alive(pid) and not alive(grandchild), 40.0)
+            asked.ask(sleeps, 0.2, "it took too long")
+        assert is_alive(grandchild)
+    wait_for(lambda: not is_alive(pid) and not is_alive(grandchild))
 
 
 def test_what_a_plant_prints_does_not_fill_the_disk(found_by_name):
     with child(BRANCH) as asked:
-        assert asked.ask(partial(prints, n_bytes=100), 30.0, "late") == 100
-        assert asked.ask(partial(prints, n_bytes=children_of.SAID_BYTES), 30.0, "late") > children_of.SAID_BYTES
-        assert asked.ask(partial(prints, n_bytes=100), 30.0, "late") == 100
+        assert asked.ask(partial(prints, n_bytes=100), 300.0, "late") == 100
+        assert asked.ask(partial(prints, n_bytes=children_of.SAID_BYTES), 300.0, "late") > children_of.SAID_BYTES
+        assert asked.ask(partial(prints, n_bytes=100), 300.0, "late") == 100
 
 
 @pytest.mark.parametrize(
@@ -177,15 +166,15 @@ def test_a_killed_runner_takes_a_child_that_is_deep_in_itself_with_it(tmp_path, 
         "from seqsweep.sweep.run.child import child\n"
         "from tests.sweep.test_child import pid_of, sleeps\n"
         "with child(PlantSpec('branch-v1')) as asked:\n"
-        f"    pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(asked.ask(pid_of, 30.0, 'late')))\n"
-        "    asked.ask(sleeps, 60.0, 'late')\n"
+        f"    pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(asked.ask(pid_of, 300.0, 'late')))\n"
+        "    asked.ask(sleeps, 3600.0, 'late')\n"
     )
     runner = subprocess.Popen([sys.executable, "-c", code], cwd=TOP)
     wait_for(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
     time.sleep(0.2)
     runner.kill()
     runner.wait()
-    wait_for(lambda: not alive(int((tmp_path / "pid").read_text())), 40.0)
+    wait_for(lambda: not is_alive(int((tmp_path / "pid").read_text())))
 
 
 def test_temporary_files_go_with_the_run_and_a_killed_runs_with_the_next(tmp_path, monkeypatch):

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
-import time
+from contextlib import suppress
 
 import pytest
 
-from ..support.commands import call, campaign, command, end_group, shards_of, slow_campaign, start, wait_for
+from ..support.commands import call, campaign, command, end_group, holding, shards_of, slow_campaign, start, wait_for
 
 pytest.importorskip("distributed")
 
@@ -18,7 +19,8 @@ pytest.importorskip("distributed")
 def cluster(tmp_path):
     """A scheduler and one worker with one slot, each a process; its address."""
     address = tmp_path / "address.json"
-    common = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    common = {**quiet, "env": holding(tmp_path / "y.parquet", 1)}
     options = ["--no-dashboard", "--scheduler-file", str(address)]
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *options],
@@ -35,14 +37,16 @@ def cluster(tmp_path):
 
 
 def _address(path):
-    import json
+    """From the file that the scheduler writes, once it is whole."""
+    found = []
 
-    for _ in range(100):
-        try:
-            return json.loads(path.read_text())["address"]
-        except ValueError:
-            time.sleep(0.1)
-    raise AssertionError("the scheduler wrote no address")
+    def whole():
+        with suppress(ValueError):
+            found.append(json.loads(path.read_text())["address"])
+        return found
+
+    wait_for(whole)
+    return found[0]
 
 
 def test_a_cluster_of_one_slot_does_the_work_itself(tmp_path, cluster):
@@ -61,7 +65,7 @@ def test_a_scheduler_that_is_killed_ends_in_one_line_and_the_work_is_kept(tmp_pa
     out = tmp_path / "y.parquet"
     runner = start("run", file, "-o", out, "--backend", "dask", "--scheduler", address)
     try:
-        wait_for(lambda: len(list(shards_of(out))) > 0)
+        wait_for((tmp_path / "held").exists)
         scheduler.send_signal(signal.SIGKILL)
         _, said = runner.communicate(timeout=600)
     finally:

@@ -29,6 +29,7 @@ from ..support.commands import (
     campaign,
     command,
     end_group,
+    holding,
     shards_of,
     slow_campaign,
     start,
@@ -240,9 +241,9 @@ def test_an_output_that_is_moved_during_the_run_costs_one_line(tmp_path):
     path, out = slow_campaign(tmp_path, n_points=2), tmp_path / "out"
     out.mkdir()
     table = out / "y.parquet"
-    process = start("run", path, "-o", table, "--jobs", 2)
+    process = start("run", path, "-o", table, "--jobs", 2, env=holding(table, 1))
     try:
-        wait_for(lambda: shards_of(table))
+        wait_for((out / "held").exists)
         out.rename(tmp_path / "elsewhere")
         _, said = process.communicate(timeout=600)
     finally:

@@ -14,7 +14,17 @@ from contextlib import suppress
 
 import pytest
 
-from ..support.commands import call, campaign, end_group, group_members, shards_of, slow_campaign, start, wait_for
+from ..support.commands import (
+    call,
+    campaign,
+    end_group,
+    group_members,
+    holding,
+    shards_of,
+    slow_campaign,
+    start,
+    wait_for,
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +37,9 @@ def slow(tmp_path_factory):
     return path, table.read_bytes()
 
 
-def killed(path, table, moment, *options, orphans=False):
+def killed(path, table, moment, *options, orphans=False, **environment):
     """Start the command, and kill -9 its runner alone when ``moment()`` has come; True if it was still at work."""
-    process = start("run", path, "-o", table, *options)
+    process = start("run", path, "-o", table, *options, **environment)
     try:
         wait_for(lambda: moment() or process.poll() is not None)
         caught = process.poll() is None
@@ -56,8 +66,7 @@ def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, n_shards):
     """Before the first shard, in the midst of them, near the last one."""
     path, undisturbed = slow
     table = tmp_path / "y.parquet"
-    lock = table.with_name(table.name + ".parts") / "lock"
-    assert killed(path, table, lambda: lock.exists() and len(shards_of(table)) >= n_shards, "--jobs", 2)
+    assert killed(path, table, (tmp_path / "held").exists, "--jobs", 2, env=holding(table, n_shards))
     assert not table.exists()
     kept = {shard: shard.stat().st_mtime_ns for shard in shards_of(table)}
     assert len(kept) >= n_shards
@@ -83,7 +92,7 @@ def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
     path = slow_campaign(tmp_path, plant="python:plants:SlowPythonBranch", rest_s=0.01, n_points=2)
     table, fresh = tmp_path / "y.parquet", tmp_path / "fresh.parquet"
     setting = ["--set", "plant.isolate=false", "--jobs", 2]
-    assert killed(path, table, lambda: len(shards_of(table)) >= 3, *setting)
+    assert killed(path, table, (tmp_path / "held").exists, *setting, env=holding(table, 3))
     assert finished(path, table, *setting) == finished(path, fresh, *setting)
 
 
