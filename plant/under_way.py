@@ -16,7 +16,7 @@ from .lanes import aligned_zeros, phasor_array
 from .protocol import Window
 
 Advance = Callable[[np.ndarray, np.ndarray], None]
-"""Steps one flat array by as many blocks as its second argument, (n_blocks, 8, LANES) of sums, has room for."""
+"""Steps flat arrays (n, n_slots LANES) by as many blocks as their sums, (n, n_blocks, 8, LANES), have room for."""
 
 
 class Places(NamedTuple):
@@ -98,8 +98,7 @@ class LanesUnderWay:
     def _stretch(self, advance: Advance, who: np.ndarray, n_blocks: int) -> np.ndarray:
         lanes, n_states = self._filled(who), self._places.n_states
         sums = np.empty((len(lanes), n_blocks, 8, lanes.shape[2]))
-        for x, of_x in zip(lanes, sums, strict=True):
-            advance(x.reshape(-1), of_x)
+        advance(lanes.reshape(len(lanes), -1), sums)
         self._columns[:n_states, who] = lanes[:, :n_states].transpose(1, 0, 2).reshape(n_states, -1)[:, : len(who)]
         self._step[who] += n_blocks * self._block_steps
         self._block[who] += n_blocks

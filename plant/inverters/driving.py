@@ -21,6 +21,7 @@ from ..circuits.feeding import Feeding
 from ..damping.control import NOTCH_XI
 from ..errors import SeqsweepError
 from ..injection import series_tones, turns
+from ..kernels.compiled import each
 from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, PhasorRun, Phasors, Rating, Record, Source, Trace, Window
 from ..turbine.tone_table import FEWEST, common_period, waveform
@@ -172,8 +173,8 @@ class LaneDriven(ABC):
         ]
         step, table = self._advance("_compensated" if self._compensated else ""), np.zeros((0, 2, kernel.LANES))
 
-        def advance(x: np.ndarray, sums: np.ndarray) -> None:
-            step(table, x, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums)
+        def advance(lanes: np.ndarray, sums: np.ndarray) -> None:
+            each(step, [table, lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums], (1, 7))
 
         places = Places(kernel.N_STATES, kernel.LINE, kernel.TAPER, kernel.TONES, kernel.N_TONE_SLOTS)
         units = self.rating.peak_voltage_v, -self.rating.peak_current_a

@@ -57,6 +57,15 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return function if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0") else Kernel(function, options)
 
 
+def each(kernel: Any, arguments: Sequence[Any], stacked: Sequence[int]) -> None:
+    """`Kernel.each`, of a function that is not compiled as well."""
+    if isinstance(kernel, Kernel):
+        kernel.each(arguments, stacked)
+        return
+    for k in range(len(arguments[stacked[0]])):
+        kernel(*(x[k] if at in stacked else x for at, x in enumerate(arguments)))
+
+
 class intrinsic:
     """`numba.extending.intrinsic`, but that numba is imported only where there is something to compile."""
 
@@ -95,12 +104,32 @@ class Kernel:
         self._codes: dict[str, Code] = {}
 
     def __call__(self, *arguments: Any) -> Any:
+        return self._code(arguments)(arguments)
+
+    def _code(self, arguments: Sequence[Any]) -> Code:
         kinds = ",".join(_kind(argument) for argument in arguments)
         code = self._codes.get(kinds)
         if code is None:
             with _lock:
                 code = self._codes[kinds] = self._found(kinds, arguments)
-        return code(arguments)
+        return code
+
+    def each(self, arguments: Sequence[Any], stacked: Sequence[int]) -> None:
+        """Call it for every entry of some arguments, by their numbers: stacks of arrays along their first axis.
+
+        Where it can, the interpreter is let go of once for all of them.
+        """
+        one_by_one = (
+            [x[k] if at in stacked else x for at, x in enumerate(arguments)] for k in range(len(arguments[stacked[0]]))
+        )
+        first = next(one_by_one)
+        code = self._code(first)
+        if isinstance(code, _Loaded):
+            code.each(first, len(arguments[stacked[0]]), {at: arguments[at].strides[0] for at in stacked})
+            return
+        code(first)
+        for each in one_by_one:
+            code(each)
 
     @functools.cached_property
     def dispatcher(self) -> Any:
@@ -171,6 +200,9 @@ def _values(argument: Any) -> Sequence[Any]:
     return (argument.real, argument.imag) if isinstance(argument, complex) else (argument,)
 
 
+_DATA = 4
+"""Where the address of its numbers stands among the values of an array."""
+
 _CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_double, "b": ctypes.c_uint8}
 
 
@@ -225,17 +257,79 @@ def _loaded(name: str, code: bytes, letters: str) -> Code:
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     _engines.append(engine)
-    taken = (_CTYPES["p"], _CTYPES["p"], *(_CTYPES[letter] for letter in letters))
-    function = ctypes.CFUNCTYPE(ctypes.c_int32, *taken)(engine.get_function_address(name))
+    return _Loaded(engine.get_function_address(name), letters)
 
-    def call(arguments: Sequence[Any]) -> None:
-        unused = (ctypes.c_void_p * 2)()  # where an answer and an error would go
-        answer, error = ctypes.addressof(unused), ctypes.addressof(unused) + ctypes.sizeof(ctypes.c_void_p)
-        status = function(answer, error, *(value for argument in arguments for value in _values(argument)))
-        if status not in (0, -2):  # fine, and numba's way to say "None"
-            raise SystemError(f"a kernel ended with status {status}")
 
-    return call
+class _Loaded:
+    """A kernel's machine code, called by ctypes: it lets go of the interpreter while it runs."""
+
+    def __init__(self, address: int, letters: str):
+        self._address, self._letters = address, letters
+        self._taken = (_CTYPES["p"], _CTYPES["p"], *(_CTYPES[letter] for letter in letters))
+        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, *self._taken)(address)
+        self._unused = (ctypes.c_void_p * 2)()  # where an answer and an error would go
+        self._outcome = ctypes.addressof(self._unused), ctypes.addressof(self._unused) + ctypes.sizeof(ctypes.c_void_p)
+
+    def __call__(self, arguments: Sequence[Any]) -> None:
+        _check(self._function(*self._outcome, *(value for argument in arguments for value in _values(argument))))
+
+    def each(self, first: Sequence[Any], n: int, strides: dict[int, int]) -> None:
+        """Call it ``n`` times: the data of some arguments move by so many bytes from one call to the next."""
+        values = [value for argument in first for value in _values(argument)]
+        sizes = [len(_letters(argument)) for argument in first]
+        moves = [0] * len(values)
+        for at, stride in strides.items():
+            moves[sum(sizes[:at]) + _DATA] = stride
+        pointers = [move for move, letter in zip(moves, self._letters, strict=True) if letter == "p"]
+        _check(self._loop(self._address, n, *pointers, *self._outcome, *values))
+
+    @functools.cached_property
+    def _loop(self) -> Any:
+        """A function of the code's address, the number of calls, bytes to move each pointer by, and the arguments."""
+        import llvmlite.binding as llvm
+
+        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(_loop_text(self._letters)), machine)
+        engine.finalize_object()
+        _engines.append(engine)
+        moves = (ctypes.c_int64,) * self._letters.count("p")
+        kind = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int64, *moves, *self._taken)
+        return kind(engine.get_function_address("loop"))
+
+
+def _check(status: int) -> None:
+    if status not in (0, -2):  # fine, and numba's way to say "None"
+        raise SystemError(f"a kernel ended with status {status}")
+
+
+def _loop_text(letters: str) -> str:
+    """LLVM's text of the loop over a function that takes such values; it ends where a call fails."""
+    pointers = [k for k, letter in enumerate(letters) if letter == "p"]
+    taken = "".join(f", i64 %by{k}" for k in pointers)
+    given = "".join(f", {_VALUES[letter]} %a{k}" for k, letter in enumerate(letters))
+    moved = "\n".join(
+        f"  %o{k} = mul i64 %n, %by{k}\n  %m{k} = getelementptr i8, ptr %a{k}, i64 %o{k}" for k in pointers
+    )
+    passed = "".join(f", {_VALUES[x]} %{'m' if x == 'p' else 'a'}{k}" for k, x in enumerate(letters))
+    return f"""
+define i32 @loop(ptr %code, i64 %times{taken}, ptr %answer, ptr %error{given}) {{
+begin:
+  br label %next
+next:
+  %n = phi i64 [0, %begin], [%after, %next]
+{moved}
+  %status = call i32 %code(ptr %answer, ptr %error{passed})
+  %after = add i64 %n, 1
+  %none = icmp eq i32 %status, -2
+  %zero = icmp eq i32 %status, 0
+  %fine = or i1 %none, %zero
+  %more = icmp slt i64 %after, %times
+  %on = and i1 %fine, %more
+  br i1 %on, label %next, label %end
+end:
+  ret i32 %status
+}}
+"""
 
 
 # ---------------------------------------------------------------------- files

@@ -231,7 +231,7 @@ class ReferenceTurbine:
     def _compensated(self) -> bool:
         return self.compensation != Compensation()
 
-    def kernel_for(self, source_kind: str, reactive: bool, table: np.ndarray) -> Callable[..., None]:
+    def kernel_for(self, source_kind: str, reactive: bool, table: np.ndarray) -> partial[None]:
         """The kernel for a source, with reactive power or without, told its table; only that one is compiled."""
         from ..kernels import turbine as kernel
 

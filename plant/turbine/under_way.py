@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..injection import series_tones
+from ..kernels.compiled import each
 from ..lanes import n_tones_of
 from ..protocol import Job, Window
 from ..space_vectors import PHASE_PEAK
@@ -49,5 +50,11 @@ def lanes_under_way(
 def _advance(turbine: ReferenceTurbine, source: str, reactive: bool, n_tones: int, block_steps: int) -> Advance:
     from ..kernels import turbine as kernel
 
-    step: Callable[..., None] = turbine.kernel_for(source, reactive, np.zeros((0, 4, kernel.LANES)))
-    return lambda x, sums: step(x, n_tones, turbine.parameters, turbine.dt_s, block_steps, kernel.SUM_V, sums)
+    step = turbine.kernel_for(source, reactive, np.zeros((0, 4, kernel.LANES)))
+
+    def advance(lanes: np.ndarray, sums: np.ndarray) -> None:
+        common = n_tones, turbine.parameters, turbine.dt_s, block_steps, kernel.SUM_V
+        arguments = [*step.args, lanes, *common, sums]
+        each(step.func, arguments, (len(step.args), len(arguments) - 1))
+
+    return advance

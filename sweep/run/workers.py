@@ -23,7 +23,7 @@ RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
 
 
-TOGETHER = 4
+TOGETHER, MOST_TOGETHER = 4, 16
 """Batches of a compiled plant that a thread measures together: the longest pairs of shots of so many fill its lanes."""
 
 FEW = 4
@@ -132,7 +132,8 @@ def _bundles(batches: Sequence[Batch], jobs: int) -> list[Sequence[Batch]]:
 
     The last shots of an operating point leave lanes idle; those of several fill them.
     """
-    n = TOGETHER if len(batches) >= FEW * TOGETHER * jobs else 1
+    n = min(len(batches) // (FEW * jobs), MOST_TOGETHER)
+    n = n if n >= TOGETHER else 1
     return [batches[first : first + n] for first in range(0, len(batches), n)]
 
 

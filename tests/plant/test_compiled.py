@@ -216,3 +216,19 @@ def test_the_key_knows_every_file_that_a_kernel_is_made_of(tmp_path):
     assert not compiled._is_whole(tmp_path / "a.py")
     (tmp_path / "a.py").write_text("x = 1\n")
     assert compiled._is_whole(tmp_path / "a.py")
+
+
+def test_a_kernel_over_stacks_is_the_kernel_over_each_of_their_entries():
+    """Machine code in a loop of machine code, against one call after the other."""
+    rng = np.random.default_rng(4)
+    tones, rotations = rng.normal(size=(1, 3)) + 0.5j, np.exp(1j * rng.normal(size=3))
+    current, v, i = np.full((5, 1), 2.0 + 1j), np.empty((5, 7), complex), np.empty((5, 7), complex)
+    twin = [(np.full(1, 2.0 + 1j), np.empty(7, complex), np.empty(7, complex)) for _ in range(5)]
+    constants = 0.1, 1e-3, 0.0, 0.0, 50e-6
+    moving = tones[0].copy()
+    compiled.each(branch.advance_recording, [current, moving, rotations, *constants, v, i], (0, 8, 9))
+    moving = tones[0].copy()
+    for of_current, of_v, of_i in twin:
+        branch.advance_recording(of_current, moving, rotations, *constants, of_v, of_i)
+    for found, expected in zip((current, v, i), zip(*twin, strict=True), strict=True):
+        assert np.array_equal(found, expected)
