@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ...plant.errors import nearest
-from .scenario import ScenarioError, check_times, number_of, refuse_unknown
+from .scenario import check_times, number_of, refuse_unknown
+from .whose_story import DEVICE, FARM, ScenarioError, refuse_the_other_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +95,6 @@ class FarmStory:
 DEFAULT = FarmStory(source_scale=1.2 / 1.4, events=(SourceStep(0.1, 1.0),))
 """The source's impedance steps from 1.2/1.4 of the file's to all of it, as the paper's."""
 
-_KEYS = ("duration_s", "source_scale", "out", "k", "on_from_s", "stop_margin", "aggregate", "event")
-_KINDS: dict[str, tuple[str, ...]] = {
-    "source_step": ("scale",),
-    "switch": ("name", "in_service"),
-    "fault": ("bus", "fault", "duration_s", "r_ohm"),
-    "power_step": ("device", "active_power_mw"),
-}
-
 
 def read_farm_story(path: Path) -> FarmStory:
     """Read a scenario file.
@@ -123,7 +116,8 @@ def read_farm_story(path: Path) -> FarmStory:
 
 def farm_story_of(data: Mapping[str, Any]) -> FarmStory:
     """The story that the content of a scenario file tells."""
-    refuse_unknown(data, _KEYS, "the scenario")
+    refuse_the_other_s(data, FARM, DEVICE)
+    refuse_unknown(data, (*FARM.keys, "event"), "the scenario")
     numbers = ("duration_s", "source_scale", "stop_margin", "on_from_s")
     values: dict[str, Any] = {key: _positive(data, key) for key in numbers if key in data and key != "on_from_s"}
     if "on_from_s" in data:
@@ -158,9 +152,9 @@ def _gains(data: Mapping[str, Any]) -> float | dict[str, float]:
 
 def _event(entry: Mapping[str, Any], where: str) -> Told:
     kind = entry.get("kind")
-    if kind not in _KINDS:
-        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(_KINDS)}")
-    refuse_unknown(entry, ("kind", "time_s", *_KINDS[kind]), f"{where} ({kind})")
+    if kind not in FARM.kinds:
+        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(FARM.kinds)}")
+    refuse_unknown(entry, ("kind", "time_s", *FARM.kinds[kind]), f"{where} ({kind})")
     time_s = number_of(entry, "time_s", where)
     if not time_s >= 0.0:
         raise ScenarioError(f"{where}: time_s is {time_s:g}; needed is a time from 0 s on")

@@ -22,16 +22,13 @@ from pathlib import Path
 from typing import Any
 
 from ...plant.damping.events import Event, Fault, GridStep, PowerStep, TurbineStep, WindStep
-from ...plant.errors import SeqsweepError, nearest
+from ...plant.errors import nearest
+from .whose_story import DEVICE, FARM, ScenarioError, refuse_the_other_s
 
 DURATION_S = 1.2
 STEP_S = 0.1
 BEFORE_STEP = 1.2 / 1.4
 """Impedance before the default grid step, in parts of the tuned one: the paper steps from 1.2 Z to 1.4 Z."""
-
-
-class ScenarioError(SeqsweepError):
-    """A scenario file that cannot be followed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,21 +97,11 @@ def read_story(path: str | Path) -> Story:
         raise ScenarioError(f"{path}: {error}") from None
 
 
-_NUMBERS = ("duration_s", "scale", "turbines", "active_power_mw", "source_voltage_pu")
-_KINDS: dict[str, tuple[str, ...]] = {
-    "grid_step": ("scale",),
-    "turbine_step": ("count",),
-    "fault": ("fault", "duration_s", "r_ohm"),
-    "wind_step": ("wind_m_s",),
-    "power_step": ("active_power_mw",),
-    "switch": ("element", "in_service"),
-}
-
-
 def story_of(data: Mapping[str, Any]) -> Story:
     """The story that the content of a scenario file tells; `ScenarioError` where it makes no sense."""
-    refuse_unknown(data, (*_NUMBERS, "event"), "the scenario")
-    values = {key: number_of(data, key, "the scenario") for key in _NUMBERS if key in data}
+    refuse_the_other_s(data, DEVICE, FARM)
+    refuse_unknown(data, (*DEVICE.keys, "event"), "the scenario")
+    values = {key: number_of(data, key, "the scenario") for key in DEVICE.keys if key in data}
     if "active_power_mw" in values:
         values["active_power_w"] = values.pop("active_power_mw") * 1e6
     entries = data.get("event", [])
@@ -139,9 +126,9 @@ def _event(entry: Mapping[str, Any], where: str) -> Event | Switch | ElementStep
     kind = entry.get("kind")
     if kind == "element_step":
         return _element_step(entry, where)
-    if kind not in _KINDS:
-        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(_KINDS)}, element_step")
-    refuse_unknown(entry, ("kind", "time_s", *_KINDS[kind]), f"{where} ({kind})")
+    if kind not in DEVICE.kinds:
+        raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(DEVICE.kinds)}")
+    refuse_unknown(entry, ("kind", "time_s", *DEVICE.kinds[kind]), f"{where} ({kind})")
     time_s = number_of(entry, "time_s", where)
     if kind == "grid_step":
         return GridStep(time_s, number_of(entry, "scale", where))

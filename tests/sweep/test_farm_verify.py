@@ -11,7 +11,7 @@ from seqsweep.sweep.verify.farm_figure import plot_farm
 from seqsweep.sweep.verify.farm_report import format_report, to_json
 from seqsweep.sweep.verify.farm_runs import verify_farm
 from seqsweep.sweep.verify.farm_story import FarmStory, SourceStep, farm_story_of
-from seqsweep.sweep.verify.scenario import ScenarioError
+from seqsweep.sweep.verify.scenario import ScenarioError, story_of
 from seqsweep.sweep.verify.tuned import VerifyError
 from seqsweep.tuning.farm.units import Library
 from tests.support import farms
@@ -159,7 +159,15 @@ def test_a_grid_side_damper_of_the_file_acts(library):
 
 
 WRONG = {
-    "kind": ({"event": [{"kind": "grid_step", "time_s": 0.1}]}, "kind is 'grid_step'; known are source_step"),
+    "kind": ({"event": [{"kind": "grid_steps", "time_s": 0.1}]}, "kind is 'grid_steps'; known are source_step"),
+    "one device's": (
+        {"scale": 0.9, "event": [{"kind": "grid_step", "time_s": 0.1, "scale": 1.0}]},
+        r"this is the story of one device \('scale' is .* goes with what tune wrote .* a farm has .* source_step",
+    ),
+    "one device's event": (
+        {"event": [{"kind": "switch", "element": "c1", "in_service": False, "time_s": 0.1}]},
+        "'element' is a word of it",
+    ),
     "key": ({"durations_s": 1.0}, "no 'durations_s'; did you mean|no 'durations_s'"),
     "scale": ({"source_scale": 0.0}, "source_scale is 0; needed is a number above 0"),
     "too late": (
@@ -175,6 +183,15 @@ WRONG = {
 def test_a_scenario_that_makes_no_sense_is_refused(data, words):
     with pytest.raises(ScenarioError, match=words):
         farm_story_of(data)
+
+
+def test_a_farm_s_story_given_to_one_device_says_what_it_goes_with_and_what_one_device_has():
+    with pytest.raises(ScenarioError) as refusal:
+        story_of({"duration_s": 1.0, "source_scale": 1.8, "k": 0.8})
+    said = str(refusal.value)
+    assert said.startswith("this is the story of a farm ('source_scale' is a word of it) and goes with a farm file")
+    assert "the story of one device has duration_s, scale, turbines" in said
+    assert "grid_step (scale)" in said
 
 
 @pytest.mark.parametrize(
