@@ -152,6 +152,10 @@ def on_cables(n: int, rng: np.random.Generator) -> tuple[list[Branch], np.ndarra
     return branches, c_f, devices
 
 
+SETTLED = 1e-8
+"""How nearly a shot comes to rest: at a sweep's own 1e-6 what is left of transients carries the modes' error."""
+
+
 @pytest.mark.evidence
 @pytest.mark.parametrize("n", [2, 8, 13])
 def test_really_swept_turbines_on_cables_have_the_modes_of_the_exact_farm(n):
@@ -165,7 +169,8 @@ def test_really_swept_turbines_on_cables_have_the_modes_of_the_exact_farm(n):
     for k, device in enumerate(devices):
         power_mw = -(device.drawn(1.0).real - np.real(np.conj(Y_SHUNT))) / 1e6
         f_hz = ss.log_grid(1, 1000, 100)
-        y = ss.sweep("dpmsg-v1", active_power_mw=power_mw, terminal_voltage_pu=abs(v[device.node]) / 690.0, f_hz=f_hz)
+        at = {"active_power_mw": power_mw, "terminal_voltage_pu": abs(v[device.node]) / 690.0}
+        y = ss.sweep("dpmsg-v1", **at, f_hz=f_hz, tolerance=SETTLED)
         tables[f"t{k}"] = SimpleNamespace(
             meta={"f1_hz": 50.0, "bases": RATED}, op_ids=("p",), response=lambda op, y=y: y, responses=(y,)
         )
@@ -178,7 +183,7 @@ def test_really_swept_turbines_on_cables_have_the_modes_of_the_exact_farm(n):
     print(f"seed {seed}: {n} swept turbines, critical mode {farm.judgement.critical.pole:.2f} within {critical:.1e},")
     print(f"    {len(moved)} modes of network and devices below 500 Hz within {largest:.1e} rad/s")
     assert agrees(farm, truth)
-    assert critical < 1e-4  # the sweep's own error is 2e-7 of Y in the median, 3e-6 at most
+    assert critical < 5e-5
     assert largest < 2e-3
 
 
