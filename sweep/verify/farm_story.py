@@ -151,7 +151,7 @@ def _gains(data: Mapping[str, Any]) -> float | dict[str, float]:
 
 
 def _event(entry: Mapping[str, Any], where: str) -> Told:
-    kind = entry.get("kind")
+    kind: Any = entry.get("kind")
     if kind not in FARM.kinds:
         raise ScenarioError(f"{where}: kind is {kind!r}; known are {', '.join(FARM.kinds)}")
     refuse_unknown(entry, ("kind", "time_s", *FARM.kinds[kind]), f"{where} ({kind})")

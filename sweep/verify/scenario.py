@@ -123,7 +123,7 @@ def check_times(events: Sequence[Any], duration_s: float) -> None:
 
 
 def _event(entry: Mapping[str, Any], where: str) -> Event | Switch | ElementStep:
-    kind = entry.get("kind")
+    kind: Any = entry.get("kind")
     if kind == "element_step":
         return _element_step(entry, where)
     if kind not in DEVICE.kinds:
