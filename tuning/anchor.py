@@ -16,8 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..identify.fit.dq_data import DqData
+from ..identify.fit.model import FreePoles, unheld
 from ..identify.fit.rational import RationalModel
 from .grids.in_time import grid_of_fact
+from .poles import SURELY
 from .rows import Rows, wind_rows
 from .siso import Grid
 
@@ -40,6 +43,8 @@ class Anchor:
         Why the fact cannot be used; empty where it can.
     growth_bound_per_s : float
         What grows more slowly (1/s) stays open; zero where somebody states that the device is stable.
+    still_open : OpenMode or None
+        The slow mode that the rows decide the least, once they were asked.
     """
 
     n_unstable: int | None
@@ -47,6 +52,7 @@ class Anchor:
     where: str
     problem: str = ""
     growth_bound_per_s: float = 0.0
+    still_open: OpenMode | None = None
 
 
 class OpenMode(NamedTuple):
@@ -57,18 +63,36 @@ class OpenMode(NamedTuple):
     decays: float
 
 
-def open_mode(model: RationalModel, anchor: Anchor | None) -> OpenMode | None:
-    """The mode held stable on an ideal source that is slower than the bound and of which the rows tell the least."""
-    if anchor is None or anchor.n_unstable != 0:
-        return None
+def open_mode(model: RationalModel, anchor: Anchor, data: DqData) -> OpenMode | None:
+    """The mode held stable on an ideal source that is slower than the bound and of which the rows tell the least.
+
+    What rows say of it is what they say where nothing holds it on its side: the fit that is held hides whether they
+    ask for one that grows.
+    """
     slow = np.flatnonzero((np.abs(model.poles.real) < anchor.growth_bound_per_s) & (model.poles.imag >= 0.0))
-    found = [_opened(complex(model.poles[k]), float(model.pole_std[k].real)) for k in slow]
-    return min(found, key=lambda mode: mode.decays, default=None)
+    if anchor.n_unstable != 0 or len(slow) == 0:
+        return None
+    free = unheld(model, data)
+    found = [_opened(model, int(k), free, anchor.growth_bound_per_s) for k in slow]
+    return min(found, key=lambda mode: mode.decays)
 
 
-def _opened(pole: complex, std: float) -> OpenMode:
-    decays = 0.5 * (1.0 + erf(-pole.real / max(std, 1e-300) / sqrt(2.0)))
-    return OpenMode(pole, std, decays / (decays + _GROWING * (1.0 - decays)))
+def _opened(model: RationalModel, k: int, free: FreePoles, bound: float) -> OpenMode:
+    """How probably a mode decays, if it does not grow faster than the runs let it.
+
+    Rows that ask for one that grows faster are in error, and say nothing beside the fit that is held.
+    """
+    nearest = int(np.argmin(np.abs(free.poles - model.poles[k])))
+    pole, std = complex(free.poles[nearest]), float(free.std_per_s[nearest])
+    if pole.real - SURELY * std > bound:
+        pole, std = complex(model.poles[k]), float(model.pole_std[k].real)
+    decays, slower = (_normal((limit - pole.real) / max(std, 1e-300)) for limit in (0.0, bound))
+    return OpenMode(pole, std, decays / (decays + _GROWING * max(slower - decays, 1e-300)))
+
+
+def _normal(x: float) -> float:
+    """Standard normal distribution function."""
+    return 0.5 * (1.0 + erf(x / sqrt(2.0)))
 
 
 def _bound(fact: Any) -> float:

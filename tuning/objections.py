@@ -246,10 +246,10 @@ def _may_grow(case: Case) -> str:
     if mode is None or anchor is None or mode.decays >= DECIDED:
         return ""
     return (
-        f"the device's own mode at {_place(case.model, abs(mode.pole.imag) / (2.0 * np.pi))} decays with "
-        f"{-mode.pole.real:.2g} +- {NORMAL_95 * mode.std_per_s:.2g} 1/s, so that it may as well grow: the runs on "
-        f"{anchor.where} exclude only what grows faster than {anchor.growth_bound_per_s:.2g} 1/s. Longer runs, or more "
-        "points near it, would tell"
+        f"the device's own mode at {_place(case.model, abs(mode.pole.imag) / (2.0 * np.pi))} grows by "
+        f"{mode.pole.real:.2g} +- {NORMAL_95 * mode.std_per_s:.2g} 1/s (below zero it decays), so that it may as well "
+        f"grow: the runs on {anchor.where} exclude only what grows faster than {anchor.growth_bound_per_s:.2g} 1/s. "
+        "Longer runs, or more points near it, would tell"
     )
 
 

@@ -16,7 +16,7 @@ from ..identify.fit.rational import RationalModel, evaluate_pn
 from ..identify.response import FrequencyResponse
 from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError, place_of
-from .anchor import Anchor, anchor_of, recounted
+from .anchor import Anchor, anchor_of, open_mode, recounted
 from .gain import FirstGain, first_gain
 from .grid_check import grid_warnings
 from .grids.in_time import grid_of_fact
@@ -149,7 +149,8 @@ def fitted(response: FrequencyResponse, proved: Anchor | None = None) -> Device:
     misfit = float(np.median(misfits(rows.data, model)))
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
-    return Device(response, believed(rows, model), anchor, model, problem)
+    kept = believed(rows, model)
+    return Device(response, kept, replace(anchor, still_open=open_mode(model, anchor, kept.data)), model, problem)
 
 
 def _anchored(rows: Rows, anchor: Anchor, f1_hz: float) -> tuple[Anchor, RationalModel]:

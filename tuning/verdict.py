@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate_pn
-from .anchor import Anchor, open_mode
+from .anchor import Anchor
 from .crossings import Crossing, bode_crossings, critical_crossing
 from .objections import Case, Decision, Ruling, decide
 from .poles import LIGHT, ClosedLoop, closed_loop, crowded
@@ -101,7 +101,7 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
     by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model, loop.hole).number
     hidden = unseen(model, rows.data, grid, crowded(model, loop.hole)) if stable and rows is not None else None
-    still_open = open_mode(model, anchor) if stable else None
+    still_open = anchor.still_open if stable and anchor is not None else None
     ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
     return Stability(
         verdict=ruling.verdict,

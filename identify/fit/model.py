@@ -33,8 +33,17 @@ from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
 from .exact_rows import from_interpolant
-from .least_squares import Problem, Trial, refine, solve_residues, weighted
-from .order import drop_faint, drop_outliers, prune, select_order, settle_far_poles, settle_instability, thin_out_far
+from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_residues, trial_at, weighted
+from .order import (
+    drop_faint,
+    drop_outliers,
+    prune,
+    select_order,
+    settle_far_poles,
+    settle_instability,
+    settle_lasting,
+    thin_out_far,
+)
 from .partial_fractions import order_of, upper_half
 from .rational import RationalModel
 from .row_noise import leave_out_outliers, weighted_by_misfit
@@ -166,8 +175,26 @@ def _settled(
     trial = thin_out_far(problem, prune(problem, trial))
     trial, removed = drop_faint(problem, trial)
     trial, mirrored = settle_far_poles(problem, trial)
-    trial = settle_instability(problem, trial)
+    trial = settle_lasting(problem, settle_instability(problem, trial))
     return Settled(problem, f1_hz, trial, outlying + notes, removed + mirrored)
+
+
+class FreePoles(NamedTuple):
+    """Poles (m,) with Im >= 0 (rad/s), and the standard errors of their real parts (1/s)."""
+
+    poles: np.ndarray
+    std_per_s: np.ndarray
+
+
+def unheld(model: RationalModel, data: DqData) -> FreePoles:
+    """Where the fitted rows would have the poles if no experiment held them.
+
+    Misfits below the floor are not resolved: no row is taken to be known better than to it.
+    """
+    problem = weighted(data, model.noise_floor)._replace(weight=model.weight.T)
+    free = refine(problem, trial_at(problem, upper_half(model.poles), model.tail))
+    floor = floor_cost(problem)
+    return FreePoles(free.poles, pole_std(problem, free) * np.sqrt(max(1.0, floor / max(free.cost, 1e-6 * floor))))
 
 
 def _known_unstable(response: FrequencyResponse, told: int | None) -> int | None:

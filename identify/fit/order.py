@@ -6,7 +6,7 @@ import numpy as np
 
 from .dq_data import ELEMENTS
 from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_residues, trial_at
-from .partial_fractions import basis, order_of, upper_half
+from .partial_fractions import basis, order_of, separated, upper_half
 from .rational import RationalModel
 from .vector_fit import vector_fit
 
@@ -16,6 +16,16 @@ _UNPLACED = 0.5  # standard error of a far pole, in its size, from which on its 
 _NEARBY = 5.0  # where a real pole that replaces a far pair is started, in bands
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
+
+
+NARROWEST = 0.005
+"""Damping ratio of the narrowest mode of its own that a device which came to rest is reckoned to have."""
+
+LASTING = 0.5
+"""Decay (1/s) of the slowest one that runs of some seconds are sure to see at rest."""
+
+SLOWEST = 0.05
+"""Decay (1/s) of the slowest one at all: what decays more slowly takes a minute to come to rest."""
 
 
 def select_order(problem: Problem, max_order: int, start: RationalModel | None) -> Trial:
@@ -197,6 +207,25 @@ def unstable_count(poles: np.ndarray) -> int:
     """Poles in the right half-plane, conjugates counted, from the real ones and the upper halves."""
     unstable = poles[poles.real > 0.0]
     return int(len(unstable) + np.sum(unstable.imag > 0.0))
+
+
+def settle_lasting(problem: Problem, trial: Trial) -> Trial:
+    """Poles held at the axis, of a device that came to rest, are put where such a device has them if that fits as well.
+
+    Rows that do not tell how narrow a pole is leave it anywhere, also where it would ring for minutes: a loop that
+    moves it by less than that would seem to be unstable.
+    """
+    if problem.n_unstable != 0:
+        return trial
+    for pole in trial.poles[-trial.poles.real < np.maximum(NARROWEST * np.abs(trial.poles.imag), SLOWEST)]:
+        for decay in (LASTING, SLOWEST):
+            poles = trial.poles.copy()
+            poles[np.argmin(np.abs(poles - pole))] = -max(NARROWEST * abs(pole.imag), decay) + 1j * pole.imag
+            damped = trial_at(problem, separated(poles), trial.tail)
+            if damped.bic <= trial.bic + np.log(2 * problem.y.size):
+                trial = damped
+                break
+    return trial
 
 
 def _relative_misfit(problem: Problem, trial: Trial) -> float:
