@@ -54,3 +54,34 @@ def test_the_reason_names_the_mode_that_the_runs_leave_open() -> None:
     point = judged(0.3, SHOTS, 1e-2)
     assert point.verdict == "undecided"
     assert "may as well grow: the runs on an ideal source exclude only what grows faster than 0.7 1/s" in point.reason
+
+
+def judged_from(lowest_hz: float, growth_per_s: float, frequency_hz: float, noise: float) -> PointTuning:
+    """The device with a slow mode nearer to f1 than every row."""
+    nu = np.geomspace(lowest_hz, 900.0, 60)
+    pole, s = growth_per_s + 2j * np.pi * frequency_hz, 2j * np.pi * nu[:, None, None]
+    residue = 0.5 * np.array([[1.0, 0.4], [0.3, 0.1]])
+    y = 2.0 / (1.0 + s / 400.0) * np.eye(2) + residue / (s - pole) + residue / (s - pole.conjugate())
+    rng = np.random.default_rng(3)
+    std = noise * np.linalg.norm(y, axis=(1, 2)) / 2.0
+    y = y + std[:, None, None] * (rng.normal(size=y.shape) + 1j * rng.normal(size=y.shape)) / np.sqrt(2.0)
+    covariance = std[:, None, None] ** 2 / 2.0 * np.eye(8)
+    meta = {"op_id": "a", "stable_on": {"grid": "ideal", **SHOTS}}
+    return tune_point(FrequencyResponse(F1_HZ + nu, dq_to_pn(y), F1_HZ, covariance=covariance, meta=meta), GRID)
+
+
+@pytest.mark.parametrize(("growth_per_s", "frequency_hz"), [(0.5, 0.0), (0.3, 0.7)])
+def test_a_fit_held_stable_does_not_hide_that_the_rows_ask_for_a_mode_that_grows(
+    growth_per_s: float, frequency_hz: float
+) -> None:
+    point = judged_from(4.0, growth_per_s, frequency_hz, 1e-3)
+    assert point.verdict != "stable" or (point.probability or 0.0) < CERTAIN
+    assert point.model is not None
+    assert np.all(point.model.poles.real < -0.04)
+
+
+@pytest.mark.parametrize(("growth_per_s", "frequency_hz"), [(-0.3, 0.0), (-0.3, 0.7)])
+def test_a_mode_that_could_grow_far_faster_than_the_runs_let_it_is_no_doubt(
+    growth_per_s: float, frequency_hz: float
+) -> None:
+    assert judged_from(4.0, growth_per_s, frequency_hz, 1e-3).verdict == "stable"
