@@ -90,6 +90,9 @@ class ChildHost:
     memory_mb: float | None = None
 
     def ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
+        return _again_if_killed(partial(self._ask, question, timeout_s, late))
+
+    def _ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
         with child(self.spec, self._memory_mb) as asked:
             return asked.ask(question, timeout_s, late)
 
@@ -139,16 +142,34 @@ def plant_or_card(config: Config) -> Plant | PlantCard:
     ------
     PlantError
         If there is no such plant, it cannot be made, or it cannot even say what it is.
+    OSError
+        If its process is killed from outside, twice.
     """
     spec = PlantSpec(config.plant.id, config.plant.parameters)
     refuse_unknown_id(spec.id)
     if not runs_isolated(spec.id, config.plant.isolate):
         return make_plant(spec.id, spec.parameters)
     try:
-        with child(spec) as asked:
-            return asked.card
+        return _again_if_killed(partial(_card, spec))
     except ChildFailed as failure:
+        if failure.killed:
+            raise OSError(f"{spec.id}: {failure}, twice; the machine may be out of memory") from None
         raise PlantError(f"{spec.id} cannot be made: {failure}") from None
+
+
+def _card(spec: PlantSpec) -> PlantCard:
+    with child(spec) as asked:
+        return asked.card
+
+
+def _again_if_killed(attempt: Callable[[], T]) -> T:
+    """Make an attempt, and once more where the child was killed from outside: that says nothing about its plant."""
+    try:
+        return attempt()
+    except ChildFailed as failure:
+        if not failure.killed:
+            raise
+    return attempt()
 
 
 class Children:
@@ -177,7 +198,7 @@ class Children:
     def measure(self, batch: Batch) -> BatchResult:
         """`measure` in a child; rows whose plant crashed or hung are "failed" with the reason."""
         try:
-            return self._ask_again_if_killed(batch)
+            return _again_if_killed(partial(self._ask, batch))
         except (ChildFailed, PlantError) as failure:
             if len(batch.points) == 1 or batch.plays:  # one signal serves all points
                 return failed_batch(batch, "failed", str(failure))
@@ -194,15 +215,6 @@ class Children:
                 return
             if idle is not None:
                 idle.kill()
-
-    def _ask_again_if_killed(self, batch: Batch) -> BatchResult:
-        """Ask, and once more where the child was killed from outside: that says nothing about its plant."""
-        try:
-            return self._ask(batch)
-        except ChildFailed as failure:
-            if not failure.killed:
-                raise
-        return self._ask(batch)
 
     def _ask(self, batch: Batch) -> BatchResult:
         lent = self._idle.get()

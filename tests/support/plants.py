@@ -72,6 +72,17 @@ class SuicidalBranch(SlowPythonBranch):
         return super().run_phasors(jobs, windows, block_steps, n_blocks)
 
 
+class KilledWhenMadeBranch(SlowPythonBranch):
+    """Is killed while it is made: the first ``times`` of its processes, which leave a mark each in ``scars``."""
+
+    def __init__(self, scars: str, times: int):
+        super().__init__(0.0)
+        marks = len(list(Path(scars).iterdir()))
+        if marks < times:
+            (Path(scars) / str(marks)).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
 class FailingBranch(RLBranch):
     """Fails for tones between ``low_hz`` and ``high_hz`` in the way that ``how`` says."""
 

@@ -126,6 +126,19 @@ def test_a_child_that_is_killed_says_by_which_signal(found_by_name, number, name
         asked.ask(partial(kills_itself, number=number), 300.0, "late")
 
 
+@pytest.mark.parametrize(("times", "status"), [(1, 0), (2, 4)])
+def test_a_plant_that_is_killed_from_outside_while_it_is_made_is_made_once_more(tmp_path, times, status):
+    """Killed twice, the machine is at fault, and neither the plant nor the input."""
+    scars = tmp_path / "scars"
+    scars.mkdir()
+    lines = f'[plant.parameters]\nscars = "{scars}"\ntimes = {times}\n'
+    path = campaign(tmp_path, plant="python:plants:KilledWhenMadeBranch", plant_lines=lines, n=2)
+    done = call("run", path, "-o", tmp_path / "y.parquet", "--jobs", 1)
+    assert done.returncode == status, done.stderr
+    assert "Traceback" not in done.stderr
+    assert ("SIGKILL, twice; the machine may be out of memory" in done.stderr) == (status == 4)
+
+
 def test_an_answer_that_cannot_be_sent_costs_the_child_alone(found_by_name):
     with child(BRANCH) as asked, pytest.raises(ChildFailed, match="died: exit status 1"):
         asked.ask(no_answer_that_can_be_sent, 300.0, "late")
