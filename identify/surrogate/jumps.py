@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .certainty import certainty, relative_error
+from .choosing import choose_shapes
 from .partitions import evidence_of
-from .sparse_rational import Data, Fitted, choose_shapes, fit_shape, predict
+from .sparse_rational import Data, Fitted, fit_shape, predict
 
 FEATURES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
     "active power": (lambda x: x[:, 0], "MW"),

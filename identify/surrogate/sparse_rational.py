@@ -18,24 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .index_sets import Index, border, chebyshev_products
+from .index_sets import Index, chebyshev_products
 
 ELEMENTS = 4
 
-MAX_NUMERATOR_DEGREE = 6
-MAX_DENOMINATOR_DEGREE = 3
-
 PASSES = 3
 """Sanathanan-Koerner passes, after a first fit that tells the error: the weights have settled to a per cent by then."""
-
-SMALLEST_WITHIN = 1.05
-"""The smallest model whose leave-one-out error is within this factor of the least one is taken."""
-
-RIVALS = 5
-"""Next best models that are kept: their spread is part of the error."""
-
-GUARD = 0.25
-"""|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
 
 EXPECTED = 0.1
 """Size of a coefficient of the denominator that is expected before anything is swept.
@@ -55,9 +43,7 @@ LEAST_DENOMINATOR = 1e-9
 """A pole that falls on a sweep during the fit weighs no more than this gives."""
 
 DETERMINED = 1e-7
-"""Least eigenvalue of I - H_jj: below it, the other sweeps leave a direction of the coefficients open."""
-
-_PATIENCE = 6  # growth steps without gain until growing ends
+"""Least pivot of I - H_jj: below it, the other sweeps leave a direction of the coefficients open."""
 
 
 class Shape(NamedTuple):
@@ -144,23 +130,71 @@ def fit_shape(data: Data, shape: Shape, passes: int = PASSES) -> Fitted:
     Fitted
         Coefficients, closed-form leave-one-out errors and the factors that give a leverage.
     """
-    phi = chebyshev_products(data.x, shape.numerator)
-    psi = chebyshev_products(data.x, shape.denominator)
-    denominator = np.ones(data.weight.shape, dtype=complex)
-    step = _solve(data, phi, psi, data.weight, np.zeros(len(data.y)))
-    for _ in range(passes if len(shape.denominator) else 0):
-        error = _error(data, shape, step)
-        step = _solve(data, phi, psi, data.weight / np.abs(denominator), error / EXPECTED)
-        denominator = 1.0 + step.denominator @ psi.T
-        denominator = np.where(np.abs(denominator) > LEAST_DENOMINATOR, denominator, LEAST_DENOMINATOR)
-    return _judged(shape, step)
+    step = _settled(_stacked(data, [shape]), passes)
+    left_out, leverage = _left_out(step)
+    return Fitted(shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing)
 
 
-def _error(data: Data, shape: Shape, step: _Step) -> np.ndarray:
-    """(f,) standard error of an element, relative to ||Y||: what the fit leaves, over its degrees of freedom."""
-    free = ELEMENTS * np.sum(data.weight > 0.0, axis=1) - shape.size
+class Tried(NamedTuple):
+    """What several shapes of one size are worth.
+
+    Attributes
+    ----------
+    scores : (s,) float
+        Root mean square of the leave-one-out errors over frequencies and sweeps.
+    denominators : (s, f, l) complex
+        Coefficients of the denominators beyond their constant one.
+    """
+
+    scores: np.ndarray
+    denominators: np.ndarray
+
+
+def try_shapes(data: Data, shapes: Sequence[Shape], passes: int) -> Tried:
+    """Fit shapes that have as many products as one another, all at once."""
+    step = _settled(_stacked(data, shapes), passes)
+    squares = np.sum(np.abs(_left_out(step)[0]) ** 2, axis=2).reshape(len(shapes), -1)
+    denominators = step.denominator.reshape(len(shapes), len(data.y), -1)
+    return Tried(np.sqrt(np.mean(squares, axis=1)), denominators)
+
+
+class _Stack(NamedTuple):
+    """Shapes of one size over the same sweeps: n rows are s shapes at f frequencies each, one shape after the other.
+
+    ``y`` (n, m, 4), ``weight`` (n, m), ``phi`` (n, m, k) and ``psi`` (n, m, l) are the data and the products.
+    """
+
+    y: np.ndarray
+    weight: np.ndarray
+    phi: np.ndarray
+    psi: np.ndarray
+    n_shapes: int
+
+
+def _stacked(data: Data, shapes: Sequence[Shape]) -> _Stack:
+    n_f = len(data.y)
+    phi = np.repeat([chebyshev_products(data.x, shape.numerator) for shape in shapes], n_f, axis=0)
+    psi = np.repeat([chebyshev_products(data.x, shape.denominator) for shape in shapes], n_f, axis=0)
+    y, weight = (np.tile(part, (len(shapes), *[1] * (part.ndim - 1))) for part in (data.y, data.weight))
+    return _Stack(y, weight, phi, psi, len(shapes))
+
+
+def _settled(stack: _Stack, passes: int) -> _Step:
+    """The last of the passes, whose weights are the denominator of the one before."""
+    step = _solve(stack, stack.weight, np.zeros(len(stack.y)))
+    size = np.ones(stack.weight.shape)
+    for _ in range(passes if stack.psi.shape[2] else 0):
+        step = _solve(stack, stack.weight / size, _error(stack, step) / EXPECTED)
+        size = np.maximum(np.abs(1.0 + (stack.psi @ step.denominator[..., None])[..., 0]), LEAST_DENOMINATOR)
+    return step
+
+
+def _error(stack: _Stack, step: _Step) -> np.ndarray:
+    """(n,) standard error of an element, relative to ||Y||: what the fit leaves, over its degrees of freedom."""
+    coefficients = ELEMENTS * stack.phi.shape[2] + stack.psi.shape[2]
+    free = ELEMENTS * np.sum(stack.weight > 0.0, axis=1) - coefficients
     squares = np.sum(np.abs(step.residual) ** 2, axis=(1, 2)) / np.maximum(free, 1)
-    return np.sqrt(moving_mean(squares))
+    return np.sqrt(moving_mean(squares.reshape(stack.n_shapes, -1))).ravel()
 
 
 class _Step(NamedTuple):
@@ -176,52 +210,63 @@ class _Step(NamedTuple):
     residual: np.ndarray
 
 
-def _solve(data: Data, phi: np.ndarray, psi: np.ndarray, g: np.ndarray, ridge: np.ndarray) -> _Step:
-    """Coefficients for weights g (f, m) = w/|d| and a ridge (f,): numerators projected out, then d, then numerators."""
-    n_f, n_m = g.shape
-    n_l = psi.shape[1]
-    q, r = np.linalg.qr(g[:, :, None] * phi)
-    target = np.swapaxes(g[:, :, None] * data.y, 1, 2)  # (f, 4, m)
-    coupling = target[..., None] * psi  # (f, 4, m, l)
+def _solve(stack: _Stack, g: np.ndarray, ridge: np.ndarray) -> _Step:
+    """Coefficients for weights g (n, m) = w/|d| and a ridge (n,): numerators projected out, then d, then numerators."""
+    n, n_m = g.shape
+    n_l = stack.psi.shape[2]
+    q, r = np.linalg.qr(g[:, :, None] * stack.phi)
+    target = np.swapaxes(g[:, :, None] * stack.y, 1, 2)  # (n, 4, m)
+    coupling = target[..., None] * stack.psi[:, None]  # (n, 4, m, l)
     qh = np.swapaxes(q.conj(), 1, 2)[:, None]
     mixing = qh @ coupling
     inside = (qh @ target[..., None])[..., 0]
     coupling = coupling - q[:, None] @ mixing
     rest = target - (q[:, None] @ inside[..., None])[..., 0]
     held = np.maximum(ridge, LEAST_RIDGE)[:, None, None] * np.eye(n_l)
-    q_c, r_c = np.linalg.qr(np.concatenate([coupling.reshape(n_f, ELEMENTS * n_m, n_l), held], axis=1))
+    q_c, r_c = np.linalg.qr(np.concatenate([coupling.reshape(n, ELEMENTS * n_m, n_l), held], axis=1))
     q_c = q_c[:, : ELEMENTS * n_m]
-    delta = -_backwards(r_c, np.swapaxes(q_c.conj(), 1, 2) @ rest.reshape(n_f, -1, 1))[..., 0]
+    delta = -_backwards(r_c, np.swapaxes(q_c.conj(), 1, 2) @ rest.reshape(n, -1, 1))[..., 0]
     residual = rest + (coupling @ delta[:, None, :, None])[..., 0]
     numerator = _backwards(r, np.swapaxes(inside + (mixing @ delta[:, None, :, None])[..., 0], 1, 2))
-    return _Step(q, r, q_c.reshape(n_f, ELEMENTS, n_m, n_l), r_c, mixing, numerator, delta, residual)
+    return _Step(q, r, q_c.reshape(n, ELEMENTS, n_m, n_l), r_c, mixing, numerator, delta, residual)
 
 
-def _judged(shape: Shape, step: _Step) -> Fitted:
-    """Leave-one-out errors (I - H_jj)^-1 r_j, with the (4, 4) block of the hat matrix of each sweep.
+def _left_out(step: _Step) -> tuple[np.ndarray, np.ndarray]:
+    """(n, m, 4) leave-one-out errors (I - H_jj)^-1 r_j, H_jj the (4, 4) block of the hat matrix of sweep j; leverages.
 
     Where the other sweeps do not determine the coefficients the error is infinite: a device whose elements depend on
     one another leaves fewer equations than are counted.
     """
-    own = np.sum(np.abs(step.q) ** 2, axis=2)  # (f, m)
-    block = np.einsum("fajl,fbjl->fjab", step.q_coupling, step.q_coupling.conj())
-    block = block + own[:, :, None, None] * np.eye(ELEMENTS)
-    leverage = np.einsum("fjaa->fj", block).real / ELEMENTS
-    kept = np.eye(ELEMENTS) - block
-    size, turn = np.linalg.eigh(np.where(np.isfinite(kept), kept, 0.0))
-    seen = np.swapaxes(turn.conj(), 2, 3) @ np.swapaxes(step.residual, 1, 2)[..., None]
-    left_out = (turn @ (seen / np.maximum(size, DETERMINED)[..., None]))[..., 0]
-    left_out[size[..., 0] < DETERMINED] = np.inf
-    return Fitted(shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing)
+    own = np.sum(np.abs(step.q) ** 2, axis=2)  # (n, m)
+    rows = np.ascontiguousarray(np.swapaxes(step.q_coupling, 1, 2))
+    block = rows @ np.swapaxes(rows.conj(), 2, 3) + own[:, :, None, None] * np.eye(ELEMENTS)
+    leverage = np.trace(block, axis1=2, axis2=3).real / ELEMENTS
+    left_out, least = _eliminated(np.eye(ELEMENTS) - block, np.swapaxes(step.residual, 1, 2))
+    left_out[~(least >= DETERMINED)] = np.inf
+    return left_out, leverage
+
+
+def _eliminated(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solutions (n, m, 4) of Hermitian systems a x = b, and their least pivots (n, m): Gauss, for thousands at once."""
+    rows = np.moveaxis(np.concatenate([a, b[..., None]], axis=3), (2, 3), (0, 1)).copy()  # (4, 5, n, m)
+    pivots = np.empty((ELEMENTS, *rows.shape[2:]))
+    for k in range(ELEMENTS):
+        pivots[k] = rows[k, k].real
+        rows[k, k + 1 :] /= np.where(pivots[k] >= DETERMINED, pivots[k], np.inf)
+        rows[k + 1 :, k + 1 :] -= rows[k + 1 :, k, None] * rows[k, k + 1 :]
+    x = rows[:, ELEMENTS]
+    for k in range(ELEMENTS - 1, 0, -1):
+        x[:k] -= rows[:k, k] * x[k]
+    return np.moveaxis(x, 0, 2).copy(), pivots.min(axis=0)
 
 
 def moving_mean(values: np.ndarray) -> np.ndarray:
-    """Mean over the `NEIGHBOURS` nearest entries, fewer at the ends."""
-    half = NEIGHBOURS // 2
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    at = np.arange(len(values))
-    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
-    return (total[high] - total[low]) / (high - low)
+    """Mean over the `NEIGHBOURS` nearest entries along the last axis, fewer at the ends."""
+    half, n = NEIGHBOURS // 2, values.shape[-1]
+    total = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+    at = np.arange(n)
+    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, n)
+    return (total[..., high] - total[..., low]) / (high - low)
 
 
 def _backwards(r: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -232,10 +277,14 @@ def _backwards(r: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _regular(r: np.ndarray) -> np.ndarray:
+    """The factors with no diagonal entry that is next to nothing."""
+    diagonal = np.abs(np.einsum("fii->fi", r))
+    least = diagonal.max(axis=1, initial=0.0)[:, None] * 1e-14 + 1e-300
+    faint = diagonal < least
+    if not faint.any():
+        return r
     r = r.copy()
-    diagonal = np.einsum("fii->fi", r)
-    size = np.abs(diagonal).max(axis=1, initial=0.0)[:, None] * 1e-14 + 1e-300
-    diagonal[np.abs(diagonal) < size] = np.broadcast_to(size, diagonal.shape)[np.abs(diagonal) < size]
+    np.einsum("fii->fi", r)[faint] = np.broadcast_to(least, diagonal.shape)[faint]
     return r
 
 
@@ -251,113 +300,16 @@ def predict(fitted: Fitted, x: np.ndarray, rows: np.ndarray | slice = slice(None
     phi = chebyshev_products(x, fitted.shape.numerator)
     psi = chebyshev_products(x, fitted.shape.denominator)
     numerator, delta = fitted.numerator[rows], fitted.denominator[rows]
-    d = 1.0 + psi @ delta.T  # (p, f)
-    y = np.einsum("pk,fke->pfe", phi, numerator) / d[..., None]
-    size = np.linalg.norm(y, axis=2)
-    scale = 1.0 / (size * np.abs(d))
-    inverse = np.linalg.inv(_regular(fitted.r_numerator[rows]))
-    u = np.einsum("pk,fkj->pfj", phi, inverse) * scale[..., None]
+    d = 1.0 + delta @ psi.T  # (f, p)
+    y = (phi @ numerator) / d[..., None]  # (f, p, 4)
+    scale = 1.0 / (np.linalg.norm(y, axis=2) * np.abs(d))
+    u = (phi @ np.linalg.inv(_regular(fitted.r_numerator[rows]))) * scale[..., None]
     leverage = np.sum(np.abs(u) ** 2, axis=2)
     if delta.shape[1]:
-        bare = (y * scale[..., None])[..., None] * psi[:, None, None, :]  # (p, f, 4, l)
-        projected = bare - np.einsum("pfj,fejl->pfel", u, fitted.mixing[rows])
-        c = projected @ np.linalg.inv(_regular(fitted.r_denominator[rows]))[None]
-        leverage = leverage + np.mean(np.sum(np.abs(c) ** 2, axis=3), axis=2)
-    return Prediction(y, np.abs(d), leverage)
-
-
-# Which products ------------------------------------------------------------------------------------------------------
-
-
-def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
-    """The best shape and its rivals, grown greedily by the lowest leave-one-out error.
-
-    Parameters
-    ----------
-    data : Data
-        Sweeps at the frequencies that decide (some thirty suffice).
-    region : (p, d) float
-        Points of the region over which |d| is guarded.
-
-    Returns
-    -------
-    list of Shape
-        Best first; at most ``1 + RIVALS``.
-    """
-    origin = ((0,) * data.x.shape[1],)
-    tried: dict[Shape, float] = {}
-    shape = Shape(origin, ())
-    tried[shape] = fit_shape(data, shape).score
-    best, idle = tried[shape], 0
-    while idle < _PATIENCE:
-        found = _grown(data, shape, tried, region)
-        if found is None:
-            break
-        shape = found
-        idle = 0 if tried[shape] < best / SMALLEST_WITHIN else idle + 1
-        best = min(best, tried[shape])
-    return _ranked(tried)
-
-
-def _grown(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
-    """The best shape one index larger, or two where one alone gains nothing; None where no freedom is left."""
-    singles = [s for s in _larger(shape) if _has_freedom(data, s)]
-    found = _best_of(data, singles, tried, region)
-    if found is not None and tried[found] < tried[shape] / SMALLEST_WITHIN:
-        return found
-    pairs = {two for one in singles for two in _larger(one) if two.denominator != shape.denominator}
-    second = _best_of(data, [s for s in pairs if _has_freedom(data, s)], tried, region)
-    both = [s for s in (found, second) if s is not None]
-    return min(both, key=lambda s: (tried[s], s), default=None)
-
-
-def _larger(shape: Shape) -> list[Shape]:
-    n_axes = len(shape.numerator[0])
-    upper = [
-        Shape(tuple(sorted((*shape.numerator, i))), shape.denominator)
-        for i in border(shape.numerator, n_axes, MAX_NUMERATOR_DEGREE)
-    ]
-    lower = [
-        Shape(shape.numerator, tuple(sorted((*shape.denominator, i))))
-        for i in border(shape.denominator, n_axes, MAX_DENOMINATOR_DEGREE)
-    ]
-    return upper + lower
-
-
-def _has_freedom(data: Data, shape: Shape) -> bool:
-    """Whether the sweeps but one still determine the coefficients."""
-    m = int(np.min(np.sum(data.weight > 0.0, axis=1)))
-    return len(shape.numerator) < m and shape.size <= ELEMENTS * (m - 1)
-
-
-def _best_of(data: Data, shapes: Sequence[Shape], tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
-    for shape in shapes:
-        if shape not in tried:
-            tried[shape] = _guarded_score(data, shape, region)
-    return min(shapes, key=lambda s: (tried[s], s), default=None)
-
-
-def _guarded_score(data: Data, shape: Shape, region: np.ndarray) -> float:
-    fitted = fit_shape(data, shape, passes=2)
-    if not np.isfinite(fitted.score):
-        return float("inf")
-    if shape.denominator:
-        at_sweeps = _size_of_denominator(fitted, data.x).min(axis=0)
-        elsewhere = _size_of_denominator(fitted, region).min(axis=0)
-        if np.any(elsewhere < GUARD * at_sweeps):
-            return float("inf")
-    return fitted.score
-
-
-def _size_of_denominator(fitted: Fitted, x: np.ndarray) -> np.ndarray:
-    """|d| (p, f)."""
-    psi = chebyshev_products(x, fitted.shape.denominator)
-    return np.abs(1.0 + psi @ fitted.denominator.T)
-
-
-def _ranked(tried: dict[Shape, float]) -> list[Shape]:
-    """The smallest shape within `SMALLEST_WITHIN` of the best, then the next best."""
-    order = sorted((s for s in tried if np.isfinite(tried[s])), key=lambda s: (tried[s], s))
-    near = [s for s in order if tried[s] <= SMALLEST_WITHIN * tried[order[0]]]
-    chosen = min(near, key=lambda s: (s.size, tried[s], s))
-    return [chosen, *[s for s in order if s != chosen][:RIVALS]]
+        n_f, n_e, n_k, n_l = fitted.mixing[rows].shape
+        mixing = np.swapaxes(fitted.mixing[rows], 1, 2).reshape(n_f, n_k, n_e * n_l)
+        bare = (y * scale[..., None])[..., None] * psi[:, None, :]  # (f, p, 4, l)
+        projected = bare - (u @ mixing).reshape(bare.shape)
+        c = projected.reshape(n_f, -1, n_l) @ np.linalg.inv(_regular(fitted.r_denominator[rows]))
+        leverage = leverage + np.sum(np.abs(c) ** 2, axis=2).reshape(n_f, -1, n_e).mean(axis=2)
+    return Prediction(np.swapaxes(y, 0, 1), np.abs(d).T, leverage.T)

@@ -20,6 +20,7 @@ from ..frames import dq_to_pn
 from ..response import FrequencyResponse
 from .between import between
 from .certainty import Certainty, certainty, relative_error
+from .choosing import choose_shapes
 from .index_sets import Index
 from .jumps import Border, find_border
 from .region import (
@@ -33,7 +34,7 @@ from .region import (
     points_of,
     scale_of,
 )
-from .sparse_rational import ELEMENTS, Data, Fitted, Shape, choose_shapes, fit_shape, predict
+from .sparse_rational import ELEMENTS, Data, Fitted, Shape, fit_shape, predict
 
 DECIDING = 24
 """Frequencies by which the products are chosen."""
