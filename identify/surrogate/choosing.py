@@ -26,8 +26,13 @@ RIVALS = 5
 GUARD = 0.25
 """|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
 
+ENOUGH = 1e-10
+"""Left-out error, relative to ||Y||, from which on the arithmetic is all that is left to fit: growing ends."""
+
 _PATIENCE = 6  # growth steps without gain until growing ends
 _PASSES = 2
+_THINNED, _PROMISING = 4, 8
+"""Of two indices at a time, so many shapes are fitted as a whole that are the best at every fourth frequency."""
 
 
 def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
@@ -50,7 +55,7 @@ def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
     shape = Shape(origin, ())
     _best_of(data, [shape], tried, region)
     best, idle = tried[shape], 0
-    while idle < _PATIENCE:
+    while idle < _PATIENCE and best > ENOUGH:
         found = _grown(data, shape, tried, region)
         if found is None:
             break
@@ -67,7 +72,7 @@ def _grown(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarr
     if found is not None and tried[found] < tried[shape] / SMALLEST_WITHIN:
         return found
     pairs = {two for one in singles for two in _larger(one) if two.denominator != shape.denominator}
-    second = _best_of(data, [s for s in pairs if _has_freedom(data, s)], tried, region)
+    second = _best_of(data, _promising(data, sorted(s for s in pairs if _has_freedom(data, s))), tried, region)
     both = [s for s in (found, second) if s is not None]
     return min(both, key=lambda s: (tried[s], s), default=None)
 
@@ -91,10 +96,27 @@ def _has_freedom(data: Data, shape: Shape) -> bool:
     return len(shape.numerator) < m and shape.size <= ELEMENTS * (m - 1)
 
 
+def _promising(data: Data, shapes: Sequence[Shape]) -> list[Shape]:
+    """Of many shapes those that are the best at a few frequencies."""
+    if len(shapes) <= _PROMISING:
+        return list(shapes)
+    few = Data(data.x, data.y[::_THINNED], data.weight[::_THINNED])
+    worth = {shape: score for alike in _by_size(shapes) for shape, score in _worth(few, alike)}
+    return sorted(shapes, key=lambda s: (worth[s], s))[:_PROMISING]
+
+
+def _worth(data: Data, shapes: Sequence[Shape]) -> Iterable[tuple[Shape, float]]:
+    return zip(shapes, try_shapes(data, shapes, _PASSES).scores.tolist(), strict=True)
+
+
+def _by_size(shapes: Sequence[Shape]) -> list[list[Shape]]:
+    """Shapes with as many products as one another, together."""
+    return [list(alike) for _, alike in groupby(sorted(shapes, key=_size), key=_size)]
+
+
 def _best_of(data: Data, shapes: Sequence[Shape], tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
-    new = sorted((shape for shape in shapes if shape not in tried), key=_size)
-    for _, alike in groupby(new, key=_size):
-        tried.update(_scored(data, list(alike), region))
+    for alike in _by_size([shape for shape in shapes if shape not in tried]):
+        tried.update(_scored(data, alike, region))
     return min(shapes, key=lambda s: (tried[s], s), default=None)
 
 
