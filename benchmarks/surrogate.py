@@ -33,6 +33,8 @@ BARS = {
     "verdicts": (bars.judged, "pairs"),
     "modes": (bars.modes, "grids"),
     "worst": (bars.worst, "searches"),
+    "jumps": (bars.jumps, "placements"),
+    "swept": (bars.swept, "runs"),
     "speed": (bars.speed, "campaigns"),
 }
 """Every bar, and the option that says how much of it is run."""
@@ -47,6 +49,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--pairs", type=int, default=40, help="grids and operating points that are judged")
     parser.add_argument("--grids", type=int, default=20, help="grids on which the critical mode is asked for")
     parser.add_argument("--searches", type=int, default=0, help="searches of the worst point of a bank")
+    parser.add_argument("--placements", type=int, default=0, help="placements of each kind of jump, and of none")
+    parser.add_argument("--runs", type=int, default=0, help="campaigns of each device whose rows `run` sweeps")
     parser.add_argument("--campaigns", type=int, default=1, help="campaigns that are timed")
     parser.add_argument("--rivals", type=int, default=2, help="as many of each kind for the library's method")
     add_run_options(parser)

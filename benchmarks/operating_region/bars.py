@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seqsweep.identify.surrogate.design import WIDTH
 from tests.support.regions import DROOP_INVERTER, PQV, PQV_DROOP, PV, TURBINE, Device
+from tests.support.switching import KINDS, Placed, placed
 
-from . import searches, timing, verdicts
+from . import campaigns, searches, timing, verdicts
 from .designs import Certified, Truth, certified, grown, noisy, swept_by
 from .rival import BUILDS
 
@@ -82,7 +84,7 @@ def certificates(pool: Executor, seed: int, designs: int, rivals: int) -> list[R
             one = partial(_certified, name, n_tolerances, noise)
             ours = list(pool.map(partial(one, "ours"), range(seed, seed + n)))
             theirs = list(pool.map(partial(one, "rival"), range(seed, seed + min(n, rivals))))
-            rows += [_certificate(case, k, noise, ours, theirs) for k in range(n_tolerances)]
+            rows += [_certificate(case, k, f"rows' noise {noise:g}", ours, theirs) for k in range(n_tolerances)]
     return rows
 
 
@@ -93,14 +95,14 @@ def _certified(name: str, n_tolerances: int, noise: float, build: str, seed: int
 
 
 def _certificate(
-    case: Case, k: int, noise: float, ours: Sequence[list[Certified]], theirs: Sequence[list[Certified]]
+    case: Case, k: int, rows: str, ours: Sequence[list[Certified]], theirs: Sequence[list[Certified]]
 ) -> Row:
     limit, tolerance = case.asked[k], TOLERANCES[k]
     assert limit is not None
     sweeps = np.array([found[k].sweeps for found in ours])
     off = np.array([found[k].off for found in ours])
     met = bool(np.all(sweeps <= limit) and np.all(off <= tolerance))
-    what = f"{case.axes}: certified to {100 * tolerance:g} %, rows' noise {noise:g}"
+    what = f"{case.axes}: certified to {100 * tolerance:g} %, {rows}"
     told, rival = _sweeps(sweeps, off), _sweeps(*np.array([found[k] for found in theirs]).reshape(-1, 2).T)
     return Row(what, f"{len(ours)} designs", told, rival, f"<= {limit} sweeps, error <= {100 * tolerance:g} %", met)
 
@@ -238,6 +240,43 @@ def _searches(found: Sequence[searches.Searched], truth: float) -> str:
     sweeps = [one.sweeps for one in found]
     off = max(abs(one.m / truth - 1.0) for one in found)
     return f"{min(sweeps)} to {max(sweeps)} sweeps; {100 * off:.2g} % off at most"
+
+
+def jumps(pool: Executor, seed: int, placements: int, rivals: int) -> list[Row]:
+    """Limits and changes of mode at random places are found and located, smooth devices are left whole."""
+    if placements == 0:
+        return []
+    rows = []
+    for kind, most in KINDS.items():
+        found = list(pool.map(partial(_placed, kind, most), range(seed, seed + placements)))
+        for at, one in zip(range(seed, seed + placements), found, strict=True):
+            if one.wrong:
+                print(f"  {kind}, seed {at}: {one.wrong}", file=sys.stderr)
+        right, sweeps = sum(not one.wrong for one in found), [one.sweeps for one in found]
+        told = f"{right} right, {min(sweeps)} to {max(sweeps)} sweeps"
+        asked = "no jump found" if kind == "smooth" else f"all found, to {100 * WIDTH:g} % of the range"
+        rows.append(Row(JUMPS[kind], f"{placements} placements", told, "", asked, right == placements))
+    return rows
+
+
+JUMPS = {"limit": "current limits", "mode": "changes of mode", "smooth": "smooth devices"}
+
+
+def _placed(kind: str, most: int, seed: int) -> Placed:
+    return placed(kind, (PV, PQV)[seed % 2], seed, most)
+
+
+def swept(pool: Executor, seed: int, runs: int, rivals: int) -> list[Row]:
+    """Certificates of campaigns whose rows `run` sweeps, and their largest true error."""
+    if runs == 0:
+        return []
+    rows = []
+    for name, case in CASES.items():
+        n_tolerances = sum(limit is not None for limit in case.asked)
+        one = partial(campaigns.swept, name, case.device, case.region, TOLERANCES[:n_tolerances])
+        found = list(pool.map(one, range(seed, seed + runs)))
+        rows += [_certificate(case, k, "swept by run", found, []) for k in range(n_tolerances)]
+    return rows
 
 
 def speed(pool: Executor, seed: int, campaigns: int, rivals: int) -> list[Row]:

@@ -21,39 +21,12 @@ from seqsweep.sweep.region.adaptive import sweep_region
 from seqsweep.sweep.region.figure import plot_map
 
 from ..support.regions import BASES, PQV, PV, unseen
-from ..support.switching import explored, limited, smooth, swept, switched
-
-
-def drawn(kind, region, random):
-    """(rule, feature's threshold)"""
-    if kind == "limit":
-        at = random.uniform(0.55, 1.1)
-        return limited(at), at
-    if kind == "smooth":
-        return smooth(random), None
-    axis = int(random.choice(np.flatnonzero(region.varies)))
-    at = region.low[axis] + random.uniform(0.3, 0.7) * (region.high - region.low)[axis]
-    return switched(axis, at), at
-
-
-def missed(kind, region, seed, most):
-    """What is wrong with the border found for one placement; empty where it is right."""
-    rule, at = drawn(kind, region, np.random.default_rng(seed))
-    surrogate = explored(region, rule, seed, most)
-    print(f"\n  {kind} {seed}: {at} in {surrogate.border}, {len(surrogate.points)} sweeps", end="", flush=True)
-    if kind == "smooth":
-        return "" if surrogate.border is None else f"{seed}: a border that is none, {surrogate.border}"
-    if surrogate.border is None:
-        return f"{seed}: no border"
-    if not surrogate.border.cuts[0].low <= at <= surrogate.border.cuts[0].high:
-        return f"{seed}: {at} is not in {surrogate.border}"
-    width = surrogate.border.width(region.samples(512))
-    return "" if width <= WIDTH else f"{seed}: {width} of the range"
+from ..support.switching import KINDS, drawn, limited, placed, swept, switched
 
 
 @pytest.mark.parametrize(("kind", "most"), [("limit", 24), ("smooth", 13)])
 def test_jumps_are_found_and_located(kind, most):
-    assert not missed(kind, PV, 11, most)
+    assert not placed(kind, PV, 11, most).wrong
 
 
 @pytest.mark.parametrize("kind", ["limit", "mode", "smooth"])
@@ -82,11 +55,15 @@ def splits_of(points, region, responses):
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize(("kind", "most"), [("limit", 40), ("mode", 40), ("smooth", 20)])
+@pytest.mark.parametrize(("kind", "most"), KINDS.items())
 def test_jumps_are_found_in_fifty_random_placements(kind, most):
     first, n = int(np.random.default_rng().integers(1 << 30)), int(os.environ.get("SEQSWEEP_TRIALS", "50"))
     print(f"\n  seed {first}")
-    wrong = [words for seed in range(first, first + n) if (words := missed(kind, (PV, PQV)[seed % 2], seed, most))]
+    wrong = []
+    for seed in range(first, first + n):
+        found = placed(kind, (PV, PQV)[seed % 2], seed, most)
+        print(f"  {kind} {seed}: {found.at} in {found.found}, {found.sweeps} sweeps", flush=True)
+        wrong += [f"{seed}: {found.wrong}"] if found.wrong else []
     print(f"\n  {kind}: {n - len(wrong)} of {n} right")
     assert not wrong
 

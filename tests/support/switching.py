@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from seqsweep.identify.response import FrequencyResponse
-from seqsweep.identify.surrogate.design import first_points, gap_of, next_point
+from seqsweep.identify.surrogate.design import WIDTH, first_points, gap_of, next_point
 from seqsweep.identify.surrogate.surrogate import AXES, Region, Surrogate, build_surrogate, name_of
 from seqsweep.plant.turbine.parameters import TABLE_I, TurbineParameters
 
@@ -50,7 +51,7 @@ def swept(point: np.ndarray, rule: Rule, noise: float = 1e-6) -> FrequencyRespon
     return FrequencyResponse(F_HZ, y, 50.0, covariance=(noise**2 / 8.0 * size**2) * np.eye(8), meta=meta)
 
 
-def explored(region: Region, rule: Rule, seed: int, most: int, width: float = 0.02) -> Surrogate:
+def explored(region: Region, rule: Rule, seed: int, most: int) -> Surrogate:
     """A surrogate by the campaign's own choice of points, until a border is located or ``most`` points are swept."""
     responses = [swept(point, rule) for point in first_points(region, seed)]
     while True:
@@ -59,3 +60,59 @@ def explored(region: Region, rule: Rule, seed: int, most: int, width: float = 0.
         if len(responses) >= most or (surrogate.border is not None and middle is None):
             return surrogate
         responses.append(swept(next_point(surrogate, region)[0] if middle is None else middle, rule))
+
+
+KINDS = {"limit": 40, "mode": 40, "smooth": 20}
+"""What is placed at random, and the sweeps that a campaign may take of it."""
+
+
+class Placed(NamedTuple):
+    """What a campaign found of one device.
+
+    Attributes
+    ----------
+    at : float or None
+        Where it changes, in the unit of what it changes by; None: nowhere.
+    found : str
+        The border that was found, in words.
+    sweeps : int
+        Operating points that were swept.
+    wrong : str
+        What is wrong with the border; empty where it is right.
+    """
+
+    at: float | None
+    found: str
+    sweeps: int
+    wrong: str
+
+
+def placed(kind: str, region: Region, seed: int, most: int) -> Placed:
+    """One random placement of a kind, found by a campaign of at most so many sweeps."""
+    rule, at = drawn(kind, region, np.random.default_rng(seed))
+    surrogate = explored(region, rule, seed, most)
+    return Placed(at, str(surrogate.border), len(surrogate.points), _wrong(surrogate, region, at))
+
+
+def drawn(kind: str, region: Region, random: np.random.Generator) -> tuple[Rule, float | None]:
+    """A device of a kind, and where it changes."""
+    if kind == "limit":
+        at = float(random.uniform(0.55, 1.1))
+        return limited(at), at
+    if kind == "smooth":
+        return smooth(random), None
+    axis = int(random.choice(np.flatnonzero(region.varies)))
+    at = float(region.low[axis] + random.uniform(0.3, 0.7) * (region.high - region.low)[axis])
+    return switched(axis, at), at
+
+
+def _wrong(surrogate: Surrogate, region: Region, at: float | None) -> str:
+    border = surrogate.border
+    if at is None:
+        return "" if border is None else f"a border that is none, {border}"
+    if border is None:
+        return "no border"
+    if not border.cuts[0].low <= at <= border.cuts[0].high:
+        return f"{at} is not in {border}"
+    width = border.width(region.samples(512))
+    return "" if width <= WIDTH else f"{width} of the range"
