@@ -13,8 +13,8 @@ from ..identify.fit.rational import RationalModel, evaluate
 from ..identify.uncertainty import NORMAL_95
 from . import near_f1
 from .anchor import Anchor, OpenMode
-from .feeding import ACTIVE, activity, is_fed
-from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, closed_loop_poles, is_beyond, is_swept
+from .feeding import ACTIVE, LOUD, activity, is_fed
+from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, is_swept, unstable_on
 from .probability import DECIDED, DECIDED_AT, Doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
 from .rows import Rows, difference, misfits
@@ -133,7 +133,7 @@ def _miscounted(case: Case) -> str:
 def _too_few_rows(case: Case) -> str:
     """The order of the fit ended where the rows ran out, and they are not described."""
     model = case.model
-    if case.stable and not (case.hidden is not None and case.hidden.is_shown):
+    if _is_the_devices_own(case) or (case.stable and not (case.hidden is not None and case.hidden.is_shown)):
         return ""
     most = min(MAX_ORDER, (len(model.nu_hz) - 1) // 2)
     unexplained = model.weighting != "covariance" or model.residual > _UNEXPLAINED
@@ -148,6 +148,19 @@ def _too_few_rows(case: Case) -> str:
         f"{len(model.nu_hz)} rows tell no more than {most} poles apart, and the device has more: the fit leaves more "
         "than noise unexplained; sweep more points"
     )
+
+
+def _is_the_devices_own(case: Case) -> bool:
+    """Whether an instability is that which the device was proved to have, on a grid too strong to change it.
+
+    Where the loop gain is small from f1 to the band's end, device and grid have as many unstable modes as the device.
+    """
+    own = 0 if case.anchor is None else case.anchor.n_unstable or 0
+    if case.stable or own == 0 or case.loop.n_unstable != own:
+        return False
+    s = 2j * np.pi * case.winding.nu_hz[np.abs(case.winding.nu_hz) <= case.model.nu_hz[-1]]
+    gain = np.linalg.eigvals(evaluate(case.model, s) @ case.grid.impedance_dq(s))
+    return bool(np.max(np.abs(gain)) < LOUD)
 
 
 def _is_exact(rows: Rows, model: RationalModel) -> bool:
@@ -204,8 +217,7 @@ def _swept_grid_denies(case: Case) -> str:
     """On the grid the table was swept on the fit has to be as stable as the device was seen to be."""
     if case.anchor is None or case.anchor.grid is None:
         return ""
-    poles = closed_loop_poles(case.model, case.anchor.grid)
-    unstable = poles[(poles.real > 0.0) & ~is_beyond(case.model, poles)]
+    unstable = unstable_on(case.model, case.anchor.grid)
     if len(unstable) == 0:
         return ""
     worst = unstable[np.argmax(unstable.real)]
@@ -272,7 +284,7 @@ def _unswept(case: Case) -> str:
         return hidden
     unseen = [k for k in decisive if not _is_known(case, complex(loop.poles[k]))]
     unseen = [k for k in unseen if loop.poles[k].real > 0.0 or _is_fed(case, float(loop.f_hz[k]))]
-    if not unseen or (not case.stable and len(unseen) < len(decisive)):
+    if not unseen or (not case.stable and len(unseen) < len(decisive)) or _is_the_devices_own(case):
         return ""
     return (
         f"a mode at {_place(case.model, float(loop.f_hz[unseen[0]]))} decides, and the table has no usable rows around "
@@ -324,7 +336,8 @@ def _is_held(case: Case, pole: complex) -> bool:
 def _mode_text(case: Case) -> str:
     """The unstable mode that grows fastest, in words."""
     loop = case.loop
-    unstable = [k for k in _decisive(case) if _is_known(case, complex(loop.poles[k]))]
+    decisive = _decisive(case)
+    unstable = [k for k in decisive if _is_known(case, complex(loop.poles[k]))] or decisive
     pole = complex(loop.poles[unstable[0]])
     if pole.imag == 0.0:
         return f"an aperiodic mode grows at {pole.real:+.3g} rad/s"

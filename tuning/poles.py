@@ -34,6 +34,7 @@ EDGE = 1.05
 
 _GAP = 1.6  # neighbouring |f - f1| further apart than this ratio leave a gap, unless the mode is wider than it
 _CARRIED = 0.05  # a mode so near to one of the device's own, in widths of that, does not show in the locus
+_ONE_PLACE = 2.0  # standard errors within which a mode is not told from one of the device's own that counts twice
 _BESIDE = 0.05  # relative distance from a pole of no known width within which a mode is its shadow
 _VAGUE = 0.3  # a pole of the device whose width is not known to this part of itself has no known width
 _KNOWN = 0.2  # a mode whose place is known no better than to this part of itself is none that the data carry
@@ -154,13 +155,15 @@ def _carried(model: RationalModel, shadows: np.ndarray, poles: np.ndarray, covar
 
     Not carried are modes that share a place with one of the device's own, which then is uncontrollable from the
     terminals and the same on every grid, or of a source that was fitted (``shadows``), and modes of which place or
-    damping is hardly known.
+    damping is hardly known, or not told from the place of a pole of the device's own whose residue has full rank.
     """
     std, std_re = np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.sqrt(covariance[:, 0, 0])
     own = np.concatenate([model.poles, shadows])
     apart = np.abs(poles[:, None] - own) / np.maximum(np.abs(own.real), 1e-300)
     vague = model.poles[model.pole_std.real > _VAGUE * np.abs(model.poles.real)]  # a row or two hold them up
     beside = np.abs(poles[:, None] - vague) < _BESIDE * np.abs(poles)[:, None]
+    twice = model.poles[model.ranks > 1]  # the grid moves one of the two, and the other may stand for the fit's error
+    beside = np.append(beside, np.abs(poles[:, None] - twice) < _ONE_PLACE * std[:, None], axis=1)
     damped = std_re < np.maximum(_DAMPED * np.abs(poles.real), _NEAR_AXIS * np.abs(poles))
     known = (std < _KNOWN * np.abs(poles)) & damped
     return (apart.min(axis=1, initial=np.inf) > _CARRIED) & known & ~np.any(beside, axis=1)
@@ -190,6 +193,12 @@ def _resonance(
 def is_beyond(model: RationalModel, poles: np.ndarray) -> np.ndarray:
     """(m,) bool: further from the origin than 1.5 times the highest swept |f - f1|."""
     return np.abs(poles) > BEYOND * 2.0 * np.pi * model.nu_hz[-1]
+
+
+def unstable_on(model: RationalModel, grid: Grid) -> np.ndarray:
+    """Believed closed-loop poles (m,) in the right half-plane (rad/s), conjugates included."""
+    poles = closed_loop_poles(model, grid)
+    return np.asarray(poles[(poles.real > 0.0) & ~is_beyond(model, poles)])
 
 
 def is_swept(model: RationalModel, pole: complex) -> bool:

@@ -22,6 +22,7 @@ from .grid_check import grid_warnings
 from .grids.in_time import grid_of_fact
 from .intervals import margin_interval, scale_interval
 from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
+from .poles import unstable_on
 from .result import PointTuning, TuningResult
 from .rows import Rows, believed, misfits, rows_of
 from .siso import Grid, check_fundamental
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 MAX_MISFIT = 0.03
 """Median relative misfit beyond which a fit is not believed."""
+
+_FAR_BETTER = 0.5  # part of the median misfit that is left
 
 MOST_SCALE = 1e6
 """Largest multiple of a grid, and over one the smallest: beyond it is a slip."""
@@ -156,14 +159,38 @@ def fitted(response: FrequencyResponse, proved: Anchor | None = None) -> Device:
 def _anchored(rows: Rows, anchor: Anchor, f1_hz: float) -> tuple[Anchor, RationalModel]:
     """What was proved of the device, and its fit: where they do not agree, the proof with the fit's way around f1."""
     model = fit_rows(rows.data, f1_hz, n_unstable=anchor.n_unstable)
-    if anchor.n_unstable == model.n_unstable:
+    if not _contradicts(model, anchor):
         return anchor, model
     again = recounted(anchor, rows, model)
-    if again == anchor:
-        return anchor, model
     other = model if again.n_unstable == model.n_unstable else fit_rows(rows.data, f1_hz, n_unstable=again.n_unstable)
-    agrees = recounted(again, rows, other).n_unstable == again.n_unstable == other.n_unstable
-    return (again, other) if agrees else (anchor, model)
+    if again != anchor and recounted(again, rows, other).n_unstable == again.n_unstable == other.n_unstable:
+        anchor, model = again, other
+    return _counted_by_fit(rows, anchor, model)
+
+
+def _counted_by_fit(rows: Rows, anchor: Anchor, model: RationalModel) -> tuple[Anchor, RationalModel]:
+    """The count of a fit that nothing holds, where it is stable on the swept grid and describes the rows far better.
+
+    Rows too far apart for the device turn the locus on the swept grid wrongly, and the fit that is held to their
+    count is bent.
+    """
+    if anchor.grid is None or not _contradicts(model, anchor):
+        return anchor, model
+    free = fit_rows(rows.data, model.f1_hz)
+    if len(unstable_on(free, anchor.grid)) or not _describes_better(rows, free, model):
+        return anchor, model
+    return replace(anchor, n_unstable=free.n_unstable), free
+
+
+def _contradicts(model: RationalModel, anchor: Anchor) -> bool:
+    """Whether the fit has another count than was proved, or is unstable where the device was seen to be stable."""
+    return model.n_unstable != anchor.n_unstable or (
+        anchor.grid is not None and len(unstable_on(model, anchor.grid)) > 0
+    )
+
+
+def _describes_better(rows: Rows, one: RationalModel, other: RationalModel) -> bool:
+    return bool(np.median(misfits(rows.data, one)) < _FAR_BETTER * np.median(misfits(rows.data, other)))
 
 
 def _judged(

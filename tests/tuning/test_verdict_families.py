@@ -257,6 +257,26 @@ def test_several_modes_between_f1_and_the_lowest_row_are_not_judged_from_afar(tm
     assert [line_of(c) for c in cases if c.wrong] == []
 
 
+@pytest.mark.parametrize(("seed", "index", "grid"), [(432949, 602, 1), (432949, 822, 2)])
+def test_a_mode_that_stays_beside_a_pole_which_counts_twice_is_no_resonance(
+    seed: int, index: int, grid: int, tmp_path: Path
+) -> None:
+    """Two grid-forming inverters: the fit made one pole of two, and named what was left of it on the grid."""
+    (case,) = cases_of(seed, index, 0.0, 3, tmp_path, is_wanted=lambda one: one.grid_number == grid)
+    assert np.isfinite(case.said.resonance.real)
+    assert not is_phantom(case), line_of(case)
+
+
+@pytest.mark.parametrize(("seed", "index", "grid"), [(71001, 347, 2), (71001, 2, 0)])
+def test_a_device_unstable_by_itself_is_counted_where_its_rows_are_far_apart(
+    seed: int, index: int, grid: int, tmp_path: Path
+) -> None:
+    """Two grid-forming inverters side by side, exact rows on a strong grid: one unstable pair of their own."""
+    (case,) = cases_of(seed, index, 0.0, 3, tmp_path, is_wanted=lambda one: one.grid_number == grid)
+    assert case.truth.n_unstable == case.own_unstable == case.said.own_unstable == 2
+    assert case.said.verdict == "unstable", line_of(case)
+
+
 # A run that was ended ---------------------------------------------------------------------------------------------
 
 
