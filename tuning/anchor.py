@@ -24,9 +24,7 @@ from .poles import SURELY
 from .rows import Rows, wind_rows
 from .siso import Grid
 
-_GROWING = (
-    0.02  # how likely a slow mode grows, over that it decays, before any row: the device and every run came to rest
-)
+_GROWING = 0.02  # how likely a slow mode of a device that came to rest grows, over that it decays, before any row
 
 
 @dataclass(frozen=True, slots=True)
