@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from .identify.surrogate.surrogate import Surrogate
 from .identify.table.read import Table, read_table
 from .identify.views.html import MOST, html_table
 from .plant.errors import SeqsweepError
+from .plant.foreign.toml_file import read_toml
 from .sweep.bank.following import FarmFollowing
 from .sweep.bank.judge import judge_bank
 from .sweep.bank.report import report_text, summary
@@ -201,13 +201,7 @@ def _farm_and_library(document: str | Path, out: Sequence[str]) -> tuple[Library
 
 def _entry_and_library(document: str | Path, out: Sequence[str]) -> tuple[FarmEntry, Library]:
     path = Path(document)
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise SeqsweepError(f"{path}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SeqsweepError(f"{path}: not a TOML file: {error}") from None
-    return farm_of(content, out), Library(lambda name: read_table(path.parent / name))
+    return farm_of(read_toml(path), out), Library(lambda name: read_table(path.parent / name))
 
 
 def surrogate(y: Table) -> Surrogate:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..plant.errors import SeqsweepError
 from .crossings import Admittance, Crossing, bode_crossings, critical_crossing
+from .grids.words import in_ohm
 from .siso import Grid, SeriesRL, own_impedance
 
 K_MAX = 2.0
@@ -291,7 +292,7 @@ def series_of(z_ohm: complex, f1_hz: float) -> SeriesRL:
     if not z_ohm.imag > 0.0:
         raise SeqsweepError(
             "damping control is set by an R and an L, and what a device of the farm sees at f1, when all change their "
-            f"current in step, is capacitive ({z_ohm.real:.4g} {z_ohm.imag:+.4g}j ohm); [damping] of the farm file "
+            f"current in step, is capacitive ({in_ohm(z_ohm)} ohm); [damping] of the farm file "
             "can give r_ohm and x_ohm of its own"
         )
     return SeriesRL(max(z_ohm.real, 0.0), z_ohm.imag, f1_hz)
@@ -303,6 +304,6 @@ def why_capacitive(grid: Grid, f_r_hz: float) -> str:
     if z.imag / f_r_hz > 0.0:
         return ""
     return (
-        f"at {f_r_hz:.4g} Hz the grid ({grid.label}) is capacitive ({z.real:.4g} {z.imag:+.4g}j ohm), and damping "
+        f"at {f_r_hz:.4g} Hz the grid ({grid.label}) is capacitive ({in_ohm(z)} ohm), and damping "
         "control is set by an R and an L"
     )

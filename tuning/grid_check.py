@@ -7,12 +7,18 @@ and the device another admittance.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .grids.errors import GridError
 from .grids.in_time import grid_of_fact
+from .grids.voltages import check_device
+from .grids.words import in_ohm
 from .siso import Grid
+
+if TYPE_CHECKING:
+    from ..identify.response import FrequencyResponse
 
 SAME_GRID = 0.005
 """Relative difference of impedances up to which two grids count as one."""
@@ -25,6 +31,29 @@ SOURCE_TOLERANCE_PU = 0.07
 
 MEASURED_TOLERANCE_PU = 0.05
 """Where it does: so far from one the source voltage is worth a word (pu)."""
+
+
+def check_belongs(response: FrequencyResponse, bases: Mapping[str, Any], grid: Grid) -> None:
+    """Refuse a grid that cannot be this device's: at another voltage, or scanned at none of the device's frequencies.
+
+    Raises
+    ------
+    GridError
+        With what the two files say.
+    """
+    document = getattr(grid, "document", None) or {}
+    name = getattr(grid, "name", "") or "the grid"
+    check_device(name, document.get("voltage_kv"), bases.get("rated_voltage_v"))
+    rows_hz = getattr(grid, "rows_hz", None)
+    if rows_hz is None or not len(response.f_hz):
+        return
+    low, high = np.abs(response.f_hz).min(), np.abs(response.f_hz).max()
+    if rows_hz[-1] < low or rows_hz[0] > high:
+        raise GridError(
+            f"{name}: its rows reach from {rows_hz[0]:.4g} to {rows_hz[-1]:.4g} Hz, "
+            f"those of the device from {low:.4g} to {high:.4g} Hz: they have no frequency in common. Is the unit of "
+            "its frequencies the one meant? Touchstone without an option line means GHz"
+        )
 
 
 def grid_warnings(point: Mapping[str, Any], bases: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
@@ -127,7 +156,7 @@ def _against_swept_grid(swept: Mapping[str, Any], grid: Grid) -> tuple[str, ...]
     if np.abs(z - grid.at_f1) <= SAME_GRID * grid.size_ohm:
         return ()
     return (
-        f"the table was swept with the PCC voltage that belongs to {z.real:.4g} + j{z.imag:.4g} ohm, not to "
-        f"{grid.at_f1.real:.4g} + j{grid.at_f1.imag:.4g} ohm: the device will work at another voltage there; sweep "
+        f"the table was swept with the PCC voltage that belongs to {in_ohm(z)} ohm, not to "
+        f"{in_ohm(grid.at_f1)} ohm: the device will work at another voltage there; sweep "
         "again with this grid in the operating point",
     )

@@ -18,7 +18,7 @@ from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError, place_of
 from .anchor import Anchor, anchor_of, open_mode, recounted
 from .gain import FirstGain, first_gain
-from .grid_check import grid_warnings
+from .grid_check import check_belongs, grid_warnings
 from .grids.in_time import grid_of_fact
 from .intervals import margin_interval, scale_interval
 from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
@@ -198,6 +198,7 @@ def _judged(
 ) -> PointTuning:
     """The operating point on one grid."""
     response, model = device.response, device.model
+    check_belongs(response, bases, grid)
     at = {**response.meta, "grid": swept_grid or response.meta.get("grid")}
     warnings = (*_row_warnings(response), *getattr(grid, "notes", ()), *grid_warnings(at, bases, grid))
     if device.problem or model is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,6 +50,7 @@ def judge(
     """Every operating point on every grid of a bank, the worst first. Interrupted, the same command goes on."""
     from ...identify.table.read import read_table
     from ...tuning.bank.entries import check_single, read_bank
+    from ...tuning.grid_check import check_belongs
     from ...tuning.tune import chosen
     from ..bank.following import Following
     from ..bank.judge import judge_bank
@@ -69,11 +71,12 @@ def judge(
     entries = bank.entries
     for text in bank.remarks:
         remark(text)
-    check_single(bank, content.meta["f1_hz"])
+    bases = content.meta.get("bases", {})
+    check_single(bank, content.meta["f1_hz"], partial(check_belongs, swept[0], bases))
     digest = f"{content.meta['sha256']} {stable_on} {exclude} {names} {source_voltage}" + "".join(parameter or ())
     verdicts = judge_bank(
         responses,
-        content.meta.get("bases", {}),
+        bases,
         digest,
         entries,
         output=output,

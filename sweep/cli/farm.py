@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ...plant.foreign.toml_file import read_toml
 from .shared import Elements, Force, WrongInput, check_new, check_outputs, check_plot, check_suffix
 from .telling import remark, result
 
@@ -239,16 +239,7 @@ def _advice(lever: Lever, library: Library, found: Farm, demand: Demand | None, 
 
 def read_document(document: Path) -> dict[str, Any]:
     """What a farm file holds."""
-    try:
-        return tomllib.loads(document.read_text("utf-8"))
-    except FileNotFoundError:
-        raise WrongInput(f"{document}: no such file") from None
-    except IsADirectoryError:
-        raise WrongInput(f"{document} is a folder; name the farm file, such as farm.toml") from None
-    except UnicodeDecodeError:
-        raise WrongInput(f"{document}: no text; a farm file is TOML in UTF-8, see examples/farm/farm.toml") from None
-    except tomllib.TOMLDecodeError as error:
-        raise WrongInput(f"{document}: not a TOML file: {error}") from None
+    return read_toml(document, WrongInput)
 
 
 def _write_table(found: Farm, table: Path, document: Path) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...plant.errors import SeqsweepError
+from ...plant.foreign.toml_file import read_toml
 from .file import Keys
 
 OF_SECTION = ("voltage_pu", "scale", "elements")
@@ -82,12 +82,7 @@ def read_elements(path: Path) -> dict[str, Any]:
             f"{path.name} is no file of elements; needed: a grid.toml with [[element]], or R and X: a table of Z(f) "
             "has no time domain"
         )
-    try:
-        document = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise SeqsweepError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SeqsweepError(f"{path}: not TOML: {error}") from None
+    document = read_toml(path)
     if "element" not in document:
         raise SeqsweepError(f"{path}: it has no [[element]]; regions and families have no time domain")
     return document

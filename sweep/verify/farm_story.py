@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...plant.errors import nearest
+from ...plant.foreign.toml_file import read_toml
 from .scenario import check_times, number_of, refuse_unknown
 from .whose_story import DEVICE, FARM, ScenarioError, refuse_the_other_s
 
@@ -104,12 +104,9 @@ def read_farm_story(path: Path) -> FarmStory:
     ScenarioError
         If it is not TOML, or a key is unknown, missing or of the wrong kind.
     """
+    document = read_toml(path, ScenarioError)
     try:
-        return farm_story_of(tomllib.loads(path.read_text("utf-8")))
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not TOML: {error}") from None
+        return farm_story_of(document)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
 

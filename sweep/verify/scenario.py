@@ -15,7 +15,6 @@ Impedances count in multiples of the tuned grid, so that one file serves every t
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any
 
 from ...plant.damping.events import Event, Fault, GridStep, PowerStep, TurbineStep, WindStep
 from ...plant.errors import nearest
+from ...plant.foreign.toml_file import read_toml
 from .whose_story import DEVICE, FARM, ScenarioError, refuse_the_other_s
 
 DURATION_S = 1.2
@@ -85,12 +85,7 @@ def read_story(path: str | Path) -> Story:
     OSError
         If it cannot be read.
     """
-    try:
-        data = tomllib.loads(Path(path).read_text("utf-8"))
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not TOML: {error}") from None
+    data = read_toml(Path(path), ScenarioError)
     try:
         return story_of(data)
     except ValueError as error:

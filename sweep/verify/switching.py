@@ -8,6 +8,7 @@ from typing import Any
 from ...plant.circuits.circuit import Circuit
 from ...plant.damping.events import CircuitStep, Event
 from ...plant.errors import SeqsweepError, nearest
+from ...tuning.grids.document import SAID_TWICE
 from ...tuning.grids.elements import CableGrid, ElementsGrid
 from ...tuning.grids.in_time import circuit_of, circuit_of_grid, compensating, names_of, ready_to_switch
 from ...tuning.siso import Grid
@@ -56,7 +57,9 @@ def _after(
         )
     k = names.index(event.element)
     entries = list(document["element"])
-    entries[k] = {**entries[k], **_changed(event, original, k, f1_hz)}
+    changed = _changed(event, original, k, f1_hz)
+    replaced = {other for pair in SAID_TWICE for key, other in (pair, pair[::-1]) if key in changed}
+    entries[k] = {**{key: value for key, value in entries[k].items() if key not in replaced}, **changed}
     return {**document, "element": entries}
 
 

@@ -119,7 +119,7 @@ def test_a_binary_file_or_a_folder_is_no_farm(folder):
         (('bus = "t1"', 'bus = "t11"'), "'t11' is no bus"),
         (("vn_lv_kv = 0.69", "vn_lv_kv = 690.0"), "kV and V mixed up"),
         (("[[source]]", "[[sauce]]"), "did you mean 'source'"),
-        (("voltage_kv = 35.0", "voltage_kv ="), "not a TOML file"),
+        (("voltage_kv = 35.0", "voltage_kv ="), "not TOML"),
     ],
 )
 def test_a_wrong_farm_file_is_refused_in_one_line(folder, change, words):

@@ -225,6 +225,16 @@ def test_after_the_last_switch_the_grid_is_what_is_left(tuning):
     assert z == pytest.approx(1.0 / (1.0 / line + y_filter))
 
 
+def test_a_number_that_is_switched_takes_the_place_of_what_said_the_same_before(tuning):
+    """The line is given by x_ohm; 1 mH is 0.314 ohm at 50 Hz, whichever of the two names the step uses."""
+    found = []
+    for key, value in (("l_mh", 1.0), ("x_ohm", 0.1 * np.pi)):
+        step = {"kind": "element_step", "element": "line", key: value, "time_s": 0.2}
+        scenario = scenario_of(tuned_of(tuning), story_of({"duration_s": 1.0, "event": [step]}))
+        found.append(scenario.events[0].circuit.seen_at(100j * np.pi)[0])
+    assert found[0] == pytest.approx(found[1])
+
+
 def test_an_unknown_element_is_refused_by_its_name(tuning):
     story = story_of({"event": [{"kind": "switch", "element": "filtr", "in_service": True, "time_s": 0.1}]})
     with pytest.raises(ValueError, match=r"no element .* called 'filtr' .did you mean 'filter'"):

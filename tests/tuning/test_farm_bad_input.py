@@ -108,6 +108,14 @@ def test_a_device_on_the_wrong_voltage_level_is_refused():
         judged(farm_of(high), lambda name: table_of(0.6e6, 690.0))
 
 
+@pytest.mark.parametrize("section", ["source", "device", "bus"])
+def test_what_is_neither_in_nor_out_of_service_is_refused(section):
+    farm = one_turbine()
+    farm[section] = [{**farm[section][0], "in_service": "no"}]
+    with pytest.raises(FarmError, match=r"in_service = 'no'; needed is true or false|unknown key 'in_service'"):
+        farm_of(farm)
+
+
 def test_the_power_that_still_has_a_load_flow_is_said_and_has_one():
     """A turbine alone on 0.9 ohm: the part that is said has a solution, a quarter more has none."""
     weak = one_turbine() | {"source": [{"bus": "g", "x_ohm": 0.9}]}

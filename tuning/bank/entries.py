@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,8 @@ from ..grids.tables import ZTable, format_of_json, grid_of_table
 
 MOST_MEMBERS = 100_000
 """Most grids that a family makes."""
+
+_LISTED = 4  # sub-folders named in a remark
 
 FAMILY_KEYS = ("name", "combine", "count", "seed")
 RANGE_KEYS = ("from", "to", "steps", "spacing")
@@ -125,8 +127,10 @@ def read_bank(path: str | Path, device: Path | None = None) -> Bank:
     return bank._replace(entries=_named_once(bank.entries))
 
 
-def check_single(bank: Bank, f1_hz: float) -> None:
+def check_single(bank: Bank, f1_hz: float, belongs: Callable[[Grid], None] = lambda grid: None) -> None:
     """Refuse a grid that was named by itself and is none: a wrong call, not one bad file of many.
+
+    ``belongs`` refuses one that cannot be the device's.
 
     Raises
     ------
@@ -134,7 +138,8 @@ def check_single(bank: Bank, f1_hz: float) -> None:
         With what is wrong with it.
     """
     if len(bank.entries) == 1 and not bank.is_folder:
-        bank.entries[0].open(f1_hz)
+        grid = bank.entries[0].open(f1_hz)
+        belongs(grid.member if isinstance(grid, RegionGrid) else grid)
 
 
 def _of_file(path: Path, place: str) -> tuple[BankEntry, ...]:
@@ -152,11 +157,12 @@ def _of_file(path: Path, place: str) -> tuple[BankEntry, ...]:
 
 
 def _of_folder(path: Path, device: Path | None) -> Bank:
-    """Every file of a known suffix, sub-folders included; a family or a Parquet file stands for its members."""
+    """Every file of a known suffix; a family or a Parquet file stands for its members."""
     entries: list[BankEntry] = []
-    remarks: list[str] = []
-    for file in sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in GRID_SUFFIXES):
-        name = str(file.relative_to(path))
+    inside = sorted(path.iterdir())
+    remarks = _sub_folders([each.name for each in inside if each.is_dir() and not each.name.startswith(".")])
+    for file in (each for each in inside if each.is_file() and each.suffix.lower() in GRID_SUFFIXES):
+        name = file.name
         if device is not None and file.samefile(device):
             remarks.append(f"{name} is the device's own table and was left out")
             continue
@@ -167,12 +173,21 @@ def _of_folder(path: Path, device: Path | None) -> Bank:
         except GridError as error:
             entries.append(BankEntry(name, str(file), problem=str(error)))
         else:
-            if len(found) == 1 and found[0].grid_id == file.name:
-                entries.append(replace(found[0], grid_id=name))
+            if len(found) == 1 and found[0].grid_id == name:
+                entries.append(found[0])
                 continue
             entries += [replace(entry, grid_id=f"{name}#{entry.grid_id}") for entry in found]
             remarks += _taken_for_sources(name, found)
     return Bank(tuple(entries), tuple(remarks), is_folder=True)
+
+
+def _sub_folders(names: Sequence[str]) -> list[str]:
+    """A word on folders within the folder, which are banks of their own: a bank is no tree of everything below it."""
+    if not names:
+        return []
+    what = "a sub-folder" if len(names) == 1 else f"{len(names)} sub-folders"
+    shown = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    return [f"left out: {what} ({shown}): a bank is one folder; name a sub-folder as --grids to judge it"]
 
 
 def _taken_for_sources(name: str, found: Sequence[BankEntry]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...identify.fit.rational import RationalModel
 from ...plant.errors import SeqsweepError
-from ..grid_check import grid_warnings
+from ..grid_check import check_belongs, grid_warnings
 from ..grids.exclusion import critical_growth, exclusion
 from ..grids.promise import Grid
 from ..grids.regions import RegionGrid
@@ -92,6 +92,7 @@ def judge_pair(device: Device, entry: BankEntry, bases: Mapping[str, Any], *, el
     """
     try:
         grid = entry.open(device.response.f1_hz)
+        check_belongs(device.response, bases, grid.member if isinstance(grid, RegionGrid) else grid)
     except SeqsweepError as error:
         return PairVerdict(entry.grid_id, device.op_id, "failed", reason=str(error), parameters=entry.parameters)
     if device.model is None or device.problem:

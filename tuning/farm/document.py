@@ -14,6 +14,7 @@ from typing import Any
 
 from ...plant.errors import nearest
 from ..grids.document import KINDS, Element, Place
+from ..grids.errors import check_in_service
 from ..network.assembly import GROUND, Branch, Line, Network
 from ..network.equipment import pi_line
 from .entries import DamperEntry, DampingEntry, DeviceEntry, FarmEntry, FarmError
@@ -95,6 +96,9 @@ def _as_written(document: Mapping[str, Any], out_of_service: Sequence[str]) -> F
     f1_hz = float(document.get("f1_hz", 50.0))
     voltages = _buses(document)
     _check_names(document, out_of_service)
+    for section in SECTIONS:
+        for k, entry in enumerate(entries_of(document, section), start=1):
+            check_in_service(entry, str(entry.get("name", f"{section}{k}")), FarmError)
     elements = [
         _element(entry, section, k, voltages)
         for section in ("line", "cable", "series", "transformer", "series_capacitor", "shunt")

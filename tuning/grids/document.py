@@ -25,8 +25,8 @@ from ..network.equipment import (
     single_tuned,
     transformer,
 )
-from .errors import GridError
-from .voltages import check_place, check_sides
+from .errors import GridError, check_in_service
+from .voltages import check_sides, levels_of
 
 PCC, SOURCE = "pcc", "source"
 _LEAST_PU, _MOST_PU = 0.5, 1.5  # a source voltage beyond is in another unit
@@ -96,7 +96,7 @@ def _places(
 ) -> dict[str, Place]:
     """Where each element stands, by its name."""
     w1 = 2.0 * pi * f1_hz
-    levels = _levels(elements, document.get("voltage_kv"))
+    levels = levels_of(elements, document.get("voltage_kv"), PCC, SOURCE)
     x_lines = {level: _x_of_lines(elements, levels, level, w1) for level in {None, *levels.values()}}
     places = {}
     for element in elements:
@@ -119,14 +119,16 @@ def reactance_compensated(document: Mapping[str, Any], k: int, f1_hz: float) -> 
 def elements_of(document: Mapping[str, Any], f1_hz: float) -> tuple[Element, ...]:
     """The elements in service, with names and nodes."""
     _check_top(document, f1_hz)
+    for k, entry in enumerate(document["element"]):
+        check_in_service(entry, str(entry.get("name", f"element {k + 1}")))
     given = in_service(document)
     if not given:
         raise GridError("every element is out of service: there is no grid left")
     counts: dict[str, int] = {}
     elements, node = [], PCC
-    series_ones = [k for k, entry in enumerate(given) if _kind(entry).is_series]
-    for k, entry in enumerate(given):
-        kind = _kind(entry)
+    kinds = [_kind(entry, k) for k, entry in enumerate(given)]
+    series_ones = [k for k, kind in enumerate(kinds) if kind.is_series]
+    for k, (entry, kind) in enumerate(zip(given, kinds, strict=True)):
         counts[entry["kind"]] = counts.get(entry["kind"], 0) + 1
         name = str(entry.get("name", f"{entry['kind']}{counts[entry['kind']]}"))
         last = not series_ones or k >= series_ones[-1]
@@ -197,8 +199,10 @@ def check_source_voltage(source_pu: Any, given: str) -> None:
         )
 
 
-def _kind(entry: Mapping[str, Any]) -> Kind:
+def _kind(entry: Mapping[str, Any], k: int) -> Kind:
     kind = entry.get("kind")
+    if kind is None:
+        raise GridError(f"element {k + 1} has no kind; known are {', '.join(KINDS)}")
     if kind not in KINDS:
         raise GridError(f"element kind {kind!r}{_nearest(str(kind), KINDS)}; known are {', '.join(KINDS)}")
     return KINDS[kind]
@@ -211,9 +215,9 @@ def _numbers(entry: Mapping[str, Any], kind: Kind, name: str) -> dict[str, Any]:
         if key in COMMON_KEYS:
             continue
         if key not in known:
-            raise GridError(
-                f"{name}: unknown key {key!r}{_nearest(key, known)}; {entry['kind']} has {', '.join(known)}"
-            )
+            at_top = ", and it stands at the top of the document, not in an element" if key in TOP_KEYS else ""
+            near = at_top or _nearest(key, known)
+            raise GridError(f"{name}: unknown key {key!r}{near}; {entry['kind']} has {', '.join(known)}")
         if key in _WORDS:
             if value not in _WORDS[key]:
                 raise GridError(f"{name}: {key} = {value!r}; known are {', '.join(_WORDS[key])}")
@@ -221,6 +225,9 @@ def _numbers(entry: Mapping[str, Any], kind: Kind, name: str) -> dict[str, Any]:
             raise GridError(f"{name}: {key} = {value!r}; needed is a finite number, not negative")
         elif key in _SIGNED and not (isinstance(value, int | float) and isfinite(value)):
             raise GridError(f"{name}: {key} = {value!r}; needed is a finite number")
+    for pair in SAID_TWICE:
+        if all(key in entry for key in pair):
+            raise GridError(f"{name}: {pair[0]} and {pair[1]} say the same quantity: give one of them")
     missing = [key for key in kind.needed if key not in entry]
     if missing:
         raise GridError(f"{name}: {entry['kind']} needs {', '.join(missing)}")
@@ -229,6 +236,8 @@ def _numbers(entry: Mapping[str, Any], kind: Kind, name: str) -> dict[str, Any]:
 
 _WORDS = {"model": ("distributed", "pi"), "type": ("single_tuned", "high_pass")}
 _SIGNED = ("tap_percent",)
+SAID_TWICE = (("x_ohm", "l_mh"), ("x_ohm_per_km", "l_mh_per_km"), ("r_over_x", "x_over_r"))
+"""Pairs of keys of one quantity: an element has one of them."""
 
 
 def _is_number(value: Any) -> bool:
@@ -251,26 +260,7 @@ def _check_names(elements: Sequence[Element]) -> None:
         raise GridError(f"two elements are called {twice!r}: give them different names")
 
 
-# Voltage levels ------------------------------------------------------------------------------------------------------
-
-
-def _levels(elements: Sequence[Element], voltage_kv: float | None) -> dict[str, float]:
-    """Voltage (V) of every node that can be told: that of the PCC, handed on through lines and transformers."""
-    levels = {PCC: voltage_kv * 1e3} if voltage_kv else {}
-    for element in elements:  # a transformer tells its sides, where nothing else does
-        if element.kind == "transformer":
-            check_place(element.name, element.values["vn_lv_kv"], levels.get(element.a))
-            levels.setdefault(element.a, element.values["vn_lv_kv"] * 1e3)
-            levels.setdefault(element.b, element.values["vn_hv_kv"] * 1e3)
-    for _ in elements:
-        for element in elements:
-            if element.kind == "transformer" or element.b == GROUND:
-                continue
-            known = [levels[node] for node in (element.a, element.b) if node in levels and node != SOURCE]
-            for node in (element.a, element.b):
-                if known and node != SOURCE:
-                    levels.setdefault(node, known[0])
-    return levels
+# Reactances -----------------------------------------------------------------------------------------------------------
 
 
 def _x_of_lines(elements: Sequence[Element], levels: Mapping[str, float], level: float | None, w1: float) -> float:

@@ -17,12 +17,17 @@ from .errors import GridError
 from .promise import OnePort
 from .rational import RationalGrid
 from .scalar_fit import fit_closed_form
+from .words import in_ohm
 
 PER_RESONANCE = 10.0
 """Frequencies at which a distributed line is evaluated from one of its resonances to the next."""
 
 CABLE_BAND_HZ = (0.05, 5000.0)
 """Band (Hz) in which a network with distributed lines is represented."""
+
+LONGEST_DELAY_S = 10e-3
+"""Delay of all distributed lines together: some 3000 km of overhead line or 1000 km of cable, over a hundred resonances
+below the end of the band."""
 
 CABLE_MISFIT = 1e-7
 """Largest relative error with which the states of such a network may give its closed form."""
@@ -137,7 +142,7 @@ class CircuitGrid(Lumped):
     def label(self) -> str:
         """The circuit's, and z at the fundamental."""
         z = self.at_f1
-        return f"{self.circuit.label}, {z.real:.4g} + j{z.imag:.4g} ohm at {self.f1_hz:g} Hz"
+        return f"{self.circuit.label}, {in_ohm(z)} ohm at {self.f1_hz:g} Hz"
 
     def scaled(self, scale: float) -> CircuitGrid:
         """The same circuit, the impedance multiplied."""
@@ -175,6 +180,7 @@ class CableGrid(OnePort):
     def __post_init__(self) -> None:
         network = network_of(self.document, self.f1_hz)
         object.__setattr__(self, "network", network)
+        self._check_length(network)
         f_hz = _cable_frequencies(network)
         z = self.closed_form(2j * np.pi * f_hz) / self.scale
         states = fit_closed_form(f_hz, z, self.f1_hz)
@@ -184,6 +190,15 @@ class CableGrid(OnePort):
                 f"rational function (misfit {states.misfit:.1e}); give model = 'pi' and sections"
             )
         object.__setattr__(self, "_states", states)
+
+    def _check_length(self, network: Network) -> None:
+        if (delay_s := _delay_s(network)) > LONGEST_DELAY_S:
+            longest = max(network.lines, key=lambda line: line.length_km)
+            raise GridError(
+                f"{self.name or 'grid'}: a wave takes {delay_s * 1e3:.3g} ms through its distributed lines, the "
+                f"longest being {longest.name} of {longest.length_km:g} km; needed is {LONGEST_DELAY_S * 1e3:g} ms or "
+                "less, some 3000 km of overhead line: length_km in m, or c_nf_per_km in another unit?"
+            )
 
     def closed_form(self, s: np.ndarray) -> np.ndarray:
         """z (n,) in ohm by the line equations, at complex ``s`` (n,) in rad/s."""
@@ -263,11 +278,15 @@ def varied(document: Mapping[str, Any], at: int, key: str, value: float) -> dict
     return {**document, "element": entries}
 
 
+def _delay_s(network: Network) -> float:
+    """Time (s) that a wave takes through all distributed lines, one after another."""
+    return float(sum(line.length_km * np.sqrt(line.l_h_km * line.c_f_km) for line in network.lines))
+
+
 def _cable_frequencies(network: Network) -> np.ndarray:
     """Rows close enough to resolve every resonance of the lines, which lie half a wave apart."""
     low, high = CABLE_BAND_HZ
-    delays = sum(line.length_km * np.sqrt(line.l_h_km * line.c_f_km) for line in network.lines)
-    step = 1.0 / (PER_RESONANCE * 2.0 * delays)
+    step = 1.0 / (PER_RESONANCE * 2.0 * _delay_s(network))
     linear = step * np.arange(1, 1 + int(np.ceil(high / step)))
     return np.unique(np.concatenate([np.geomspace(low, high, 160), linear[linear < high]]))
 
@@ -277,7 +296,7 @@ def _label(grid: ElementsGrid | CableGrid) -> str:
     scale = "" if grid.scale == 1.0 else f" times {grid.scale:.4g}"
     z = grid.at_f1
     name = f"{grid.name}: " if grid.name else ""
-    return f"{name}{kinds}{scale}, {z.real:.4g} + j{z.imag:.4g} ohm at {grid.f1_hz:g} Hz"
+    return f"{name}{kinds}{scale}, {in_ohm(z)} ohm at {grid.f1_hz:g} Hz"
 
 
 def _described(grid: ElementsGrid | CableGrid) -> dict[str, Any]:

@@ -22,6 +22,13 @@ class NotAGrid(GridError):
     """A sound file of another kind: a folder of grids may hold it, a call that names it is wrong."""
 
 
+def check_in_service(entry: Mapping[str, Any], name: str, error: type[SeqsweepError] = GridError) -> None:
+    """Refuse an ``in_service`` that is neither true nor false: as a text, "no" would count as in service."""
+    value = entry.get("in_service", True)
+    if not isinstance(value, bool):
+        raise error(f"{name}: in_service = {value!r}; needed is true or false, without quotation marks")
+
+
 def refuse_other_document(document: Mapping[str, Any], place: str) -> None:
     """Refuse a campaign and a farm, told by their sections.
 

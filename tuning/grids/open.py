@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from ...identify.fit.rational import RationalModel
 from ...plant.errors import place_of
+from ...plant.foreign.toml_file import read_toml
 from ..poles import closed_loop_poles, is_beyond
 from .elements import elements_grid
 from .errors import GridError, refuse_other_document
@@ -85,10 +85,7 @@ def source_voltage_of(text: str) -> float | None:
 
 def read_document(path: Path) -> dict[str, Any]:
     """A TOML file as plain values."""
-    try:
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise GridError(f"{path}: not TOML: {error}") from None
+    return read_toml(path, GridError)
 
 
 def grid_of_document(document: Mapping[str, Any], f1_hz: float, name: str, place: str) -> Grid | RegionGrid:

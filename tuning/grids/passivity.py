@@ -8,6 +8,7 @@ import numpy as np
 
 from .errors import GridError
 from .rational import RationalGrid
+from .words import in_ohm
 
 NEGATIVE = 0.01
 """Part of |Z| by which a row's resistance may be negative before it counts as active; noise may add to it."""
@@ -31,11 +32,22 @@ def checked_passive(
     if len(active):
         worst = active[np.argmin(z[active].real / np.abs(z[active]))]
         raise GridError(
-            f"{grid.name}: the resistance is negative at {len(active)} of {len(z)} rows (Z = {z[worst].real:.4g} "
-            f"{z[worst].imag:+.4g}j ohm at {f_hz[worst]:.4g} Hz): a passive grid has none. Is its sign, or its angle, "
-            "turned round? A grid with converters in it is given as a 2x2 table: seqsweep import"
+            f"{grid.name}: the resistance is negative at {len(active)} of {len(z)} rows (Z = {in_ohm(z[worst])} ohm at "
+            f"{f_hz[worst]:.4g} Hz): a passive grid has none. Is its sign, or its angle, turned round? A grid with "
+            "converters in it is given as a 2x2 table: seqsweep import"
+        )
+    if _is_conjugate(z):
+        raise GridError(
+            f"{grid.name}: the reactance is negative at all {len(z)} rows and falls with the frequency, to "
+            f"{z[-1].imag:.4g} ohm at {f_hz[-1]:.4g} Hz: no path to a source does that. Is its sign, or the angle's, "
+            "turned round?"
         )
     return replace(grid, notes=(*notes, *_fit_notes(grid)))
+
+
+def _is_conjugate(z: np.ndarray) -> bool:
+    """Whether all rows (n,) look like the conjugate of an inductance: negative, and the further up the more so."""
+    return bool(np.all(z.imag < 0.0) and np.all(np.diff(z.imag) < 0.0) and z[-1].imag < 2.0 * z[0].imag)
 
 
 def _fit_notes(grid: RationalGrid) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from ..network.descriptor import Descriptor
 from .coverage import around, is_between
 from .promise import OnePort
+from .words import in_ohm
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class RationalGrid(OnePort):
         z = self.at_f1
         scale = "" if self.scale == 1.0 else f" times {self.scale:.4g}"
         rows = "" if self.rows_hz is None else f"table of {len(self.rows_hz)} rows{scale}, "
-        return f"{self.name + ': ' if self.name else ''}{rows}{z.real:.4g} + j{z.imag:.4g} ohm at {self.f1_hz:g} Hz"
+        return f"{self.name + ': ' if self.name else ''}{rows}{in_ohm(z)} ohm at {self.f1_hz:g} Hz"
 
     def impedance(self, s: np.ndarray) -> np.ndarray:
         """z in ohm; infinite at a pole."""

@@ -95,8 +95,9 @@ def _region(entry: Mapping[str, Any], number: int, f1_hz: float) -> Region:
             low, high = float(entry["f_min_hz"]), float(entry["f_max_hz"])
         corners = _corners(entry)
     except (KeyError, TypeError, ValueError) as error:
+        told = f"{error.args[0]} is missing" if isinstance(error, KeyError) else error
         raise GridError(
-            f"region {number}: {error}; needed are order, or f_min_hz and f_max_hz, and one of points, r_ohm and x_ohm "
+            f"region {number}: {told}; needed are order, or f_min_hz and f_max_hz, and one of points, r_ohm and x_ohm "
             "(from, to), circle, magnitude_ohm and angle_deg (from, to)"
         ) from None
     if not 0.0 <= low < high or len(corners) == 0 or not np.all(np.isfinite(corners)):
@@ -109,20 +110,39 @@ def _region(entry: Mapping[str, Any], number: int, f1_hz: float) -> Region:
 def _corners(entry: Mapping[str, Any]) -> np.ndarray:
     """Corners of the convex hull (k,), or of a polygon around it for circle and sector."""
     if "points" in entry:
-        return np.array([complex(r, x) for r, x in entry["points"]])
+        return np.array([complex(*_pair(point)) for point in entry["points"]])
     if "circle" in entry:
-        r, x, radius = entry["circle"]
+        r, x, radius = _numbers(entry, "circle", 3)
         turn = 2.0 * np.pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
         around = complex(r, x) + radius / np.cos(np.pi / CIRCLE_CORNERS) * np.exp(1j * turn)
         return passive_part(around)
     if "magnitude_ohm" in entry:
-        (near, far), (low, high) = entry["magnitude_ohm"], np.radians(entry["angle_deg"])
+        (near, far), (low, high) = _numbers(entry, "magnitude_ohm", 2), np.radians(_numbers(entry, "angle_deg", 2))
         angles = np.linspace(low, high, 9)
         outer = far / np.cos((high - low) / 16.0)
         around = np.concatenate([near * np.exp(1j * angles[[0, -1]]), outer * np.exp(1j * angles)])
         return passive_part(around)
-    (r0, r1), (x0, x1) = entry["r_ohm"], entry["x_ohm"]
+    (r0, r1), (x0, x1) = _numbers(entry, "r_ohm", 2), _numbers(entry, "x_ohm", 2)
     return np.array([complex(r0, x0), complex(r0, x1), complex(r1, x0), complex(r1, x1)])
+
+
+def _numbers(entry: Mapping[str, Any], key: str, n: int) -> list[float]:
+    """A list of ``n`` numbers under a key."""
+    value = entry[key]
+    if not isinstance(value, list) or len(value) != n or not all(_is_number(each) for each in value):
+        raise ValueError(f"{key} = {value!r}: needed are {n} numbers")
+    return [float(each) for each in value]
+
+
+def _pair(point: Any) -> tuple[float, float]:
+    """R and X of a corner."""
+    if not isinstance(point, list) or len(point) != 2 or not all(_is_number(each) for each in point):
+        raise ValueError(f"points: {point!r} is no corner, which has two numbers, R and X")
+    return float(point[0]), float(point[1])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _member(given: Any, regions: Sequence[Region], f1_hz: float, name: str) -> Grid:
@@ -140,7 +160,13 @@ def _member(given: Any, regions: Sequence[Region], f1_hz: float, name: str) -> G
         [_middle_row(r, g) for r in regions for g in np.geomspace(max(r.f_min_hz, 1.0), r.f_max_hz, 5)[1:4]]
     )
     order = np.argsort(rows[:, 0].real)
-    fitted: RationalGrid = grid_of_table(ZTable(rows[order, 0].real, rows[order, 1]), f1_hz, name)
+    try:
+        fitted: RationalGrid = grid_of_table(ZTable(rows[order, 0].real, rows[order, 1]), f1_hz, name)
+    except GridError:
+        raise GridError(
+            f"{name or 'regions'}: no grid through the middles of the regions was found by which they could be judged; "
+            "give a [member] with r_ohm and x_ohm that is inside all of them"
+        ) from None
     return fitted
 
 

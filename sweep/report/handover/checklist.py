@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ....plant.errors import SeqsweepError, nearest
+from ....plant.foreign.toml_file import read_toml
 from .inputs import Inputs
 from .quantities import QUANTITIES
 
@@ -93,10 +94,7 @@ def _read(name: str) -> Mapping[str, Any]:
         raise ProfileError(
             f"--profile {name}: neither a file nor one of the profiles {', '.join(known)}{nearest(name, known)}"
         )
-    try:
-        profile = tomllib.loads(path.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: not TOML: {error}") from None
+    profile = read_toml(path, ProfileError)
     _check(profile, path)
     return profile
 

@@ -127,6 +127,41 @@ def test_a_bad_grid_gets_a_row_with_the_reason_and_the_rest_goes_on(tmp_path: Pa
     assert "not negative" in verdicts["bad.toml"].reason
 
 
+def test_a_folder_is_one_bank_and_its_sub_folders_are_named(tmp_path: Path) -> None:
+    line = '[[element]]\nkind = "series"\nr_ohm = 0.012\nx_ohm = 0.25\n'
+    (tmp_path / "near.toml").write_text(line)
+    for name in ("summer", "winter"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "far.toml").write_text(line)
+    bank = read_bank(tmp_path)
+    assert [entry.grid_id for entry in bank.entries] == ["near.toml"]
+    assert any("2 sub-folders (summer, winter)" in remark for remark in bank.remarks)
+    (tmp_path / "near.toml").unlink()
+    with pytest.raises(GridError, match=r"the bank is empty; left out: 2 sub-folders"):
+        read_bank(tmp_path)
+    assert [entry.grid_id for entry in bank_of(tmp_path / "summer")] == ["far.toml"]
+
+
+@pytest.mark.parametrize(
+    ("voltage_kv", "refused"), [(0.69, False), (0.6, False), (6.9, True), (690.0, True), (0.00069, True)]
+)
+def test_a_grid_at_quite_another_voltage_than_the_device_s_is_refused(
+    voltage_kv: float, refused: bool, device: Device
+) -> None:
+    entry = BankEntry("x", document={"voltage_kv": voltage_kv, "element": [LINE]})
+    found = judge_pair(device, entry, BASES)
+    assert (found.status == "failed") == refused
+    assert ("rated 0.69 kV" in found.reason) == refused
+
+
+def test_a_scan_at_none_of_the_device_s_frequencies_is_refused(tmp_path: Path, device: Device) -> None:
+    """As where GHz are read for Hz: the function that fits it says nothing of the band that decides."""
+    place = scan(lambda f, z: (f * 1e6, z), tmp_path / "z.csv")
+    found = judge_pair(device, bank_of(place)[0], BASES)
+    assert found.status == "failed"
+    assert "they have no frequency in common" in found.reason
+
+
 def test_milliohm_taken_for_ohm_is_warned_about(device: Device) -> None:
     entry = BankEntry("x", document={"element": [{"kind": "series", "r_ohm": 12.0, "x_ohm": 250.0}]})
     assert any("is that its unit?" in text for text in judge_pair(device, entry, BASES).warnings)
@@ -211,6 +246,7 @@ def scan(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray
 LINE = {"kind": "series", "r_ohm": 0.012, "x_ohm": 0.25}
 BAD_TABLES = {
     "an angle turned round": (lambda f, z: (f, -z.conj()), "the resistance is negative at"),
+    "the conjugate of a line": (lambda f, z: (f, 0.012 - 0.005j * f), "the reactance is negative at all 60 rows"),
     "an active stretch": (lambda f, z: (f, z - 0.1 * np.exp(-((f - 300.0) ** 2) / 5e3)), "negative at"),
     "rows that contradict each other": (lambda f, z: (np.append(f, f[9]), np.append(z, 2.0 * z[9])), "contradict"),
     "noise alone": (

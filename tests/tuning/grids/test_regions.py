@@ -158,6 +158,11 @@ def test_every_shape_is_read_and_knows_what_is_inside(shape: dict, member: tuple
     [
         ({}, r"no \[\[region\]\]"),
         ({"region": [{"order": 1}]}, "needed are order"),
+        ({"region": [{"order": 1, "circle": [0.1, 0.2]}]}, r"circle = \[0.1, 0.2\]: needed are 3 numbers"),
+        ({"region": [{"order": 1, "r_ohm": [0.1, "x"], "x_ohm": [0.1, 0.2]}]}, "r_ohm = .* needed are 2 numbers"),
+        ({"region": [{"order": 1, "r_ohm": [0.0, 0.1]}]}, "x_ohm is missing"),
+        ({"region": [{"order": 1, "points": [[0.1, 0.2], [0.1]]}]}, r"points: \[0.1\] is no corner"),
+        ({"region": [{"f_min_hz": 0, "f_max_hz": 2500, "r_ohm": [0, 0.1], "x_ohm": [0.1, 0.2]}]}, r"give a \[member\]"),
         ({"region": [{"f_min_hz": 9.0, "f_max_hz": 2.0, "points": [[0, 1]]}]}, "is no region"),
         ({"region": [{"order": 1, "points": [[-1.0, 1.0], [1.0, 1.0], [0.0, 2.0]]}]}, "negative resistance"),
         (
