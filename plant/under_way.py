@@ -7,7 +7,7 @@ experiments side by side that would be as much as their simulation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,31 +20,84 @@ Advance = Callable[[np.ndarray, np.ndarray], None]
 
 
 class Places(NamedTuple):
-    """Slots of a lane's column: its first ``n_states`` are states, the others begin where these numbers say.
+    """Slots of a lane's column.
 
-    ``line`` and ``taper`` are the phasors that listen; ``tones`` the first of the tones' phasors, which stand
-    ``tone_slots`` apart.
+    ``line`` and ``taper`` are the phasors that listen, each with its rotation per step behind it, and behind those of
+    the taper its gain; ``tones`` the first of the tones' phasors, which stand ``tone_slots`` apart, each with its
+    rotation per half step behind it. ``mean_taper`` is the mean of the taper that the kernel knows.
     """
 
-    n_states: int
     line: int
     taper: int
     tones: int
     tone_slots: int
+    mean_taper: float
 
 
 class Rider(NamedTuple):
-    """One job: its column (n_slots,), where its clock stands, and what turns with it, in the plant's own frame.
+    """What turns in the column of one job, in the plant's own frame, and the step at which it stands.
 
     ``tones`` are frequencies (Hz) and phasors at time zero, in the units of the column.
     """
 
-    column: np.ndarray
-    kind: int
     step: int
     window: Window
     line_hz: float
     tones: Sequence[tuple[float, complex]]
+
+
+class Clockwork:
+    """What turns in the columns (n_slots, n) of some jobs: the phasors that listen, and the tones.
+
+    Parameters
+    ----------
+    riders : sequence of Rider
+        The jobs.
+    places : Places
+        Where things stand in a column.
+    n_tones : int
+        Tones that a column has room for.
+    block_steps, dt_s : int, float
+        Steps of a block; step (s).
+    """
+
+    def __init__(self, riders: Sequence[Rider], places: Places, n_tones: int, block_steps: int, dt_s: float):
+        self._places, self._block_steps, self._dt_s = places, block_steps, dt_s
+        self._step = np.array([rider.step for rider in riders])
+        self._block = np.array([rider.window.first_block for rider in riders])
+        self._n_blocks = np.array([rider.window.n_blocks for rider in riders])
+        self._line_hz = np.array([rider.line_hz for rider in riders])
+        none = [(0.0, 0j)] * n_tones
+        tones = [[*rider.tones, *none][:n_tones] for rider in riders]
+        self._tone_hz = np.array([[f_hz for f_hz, _ in of_rider] for of_rider in tones])
+        self._tone = np.array([[phasor for _, phasor in of_rider] for of_rider in tones], complex)
+
+    def set_rotations(self, columns: np.ndarray) -> None:
+        """What does not change: how far everything turns in a step, and the taper's gain."""
+        places, n_blocks, steps = self._places, self._n_blocks, self._block_steps
+        _set(columns, places.line + 2, slice(None), _turned(self._line_hz * self._dt_s))
+        _set(columns, places.taper + 2, slice(None), _turned(1.0 / (n_blocks * steps)))
+        columns[places.taper + 4] = 1.0 / (places.mean_taper * n_blocks * steps)
+        for number, f_hz in enumerate(self._tone_hz.T):
+            turned = np.where(self._tone[:, number] == 0j, 0j, _turned(f_hz * 0.5 * self._dt_s))
+            _set(columns, places.tones + places.tone_slots * number + 2, slice(None), turned)
+
+    def set_phasors(self, columns: np.ndarray, who: np.ndarray) -> None:
+        """What turns, as it stands at the jobs' own time: computed from the number of the step, not carried along."""
+        places, step, n_blocks = self._places, self._step[who], self._n_blocks[who]
+        _set(columns, places.line, who, _turned(self._line_hz[who] * step * self._dt_s))
+        _set(columns, places.taper, who, _turned((self._block[who] % n_blocks) / n_blocks))
+        for number, (f_hz, tone) in enumerate(zip(self._tone_hz.T, self._tone.T, strict=True)):
+            turned, at = _turned(f_hz[who] * step * self._dt_s), tone[who]
+            slot = places.tones + places.tone_slots * number
+            # by parts: numpy's product of complex arrays may round otherwise than that of two numbers
+            columns[slot, who] = at.real * turned.real - at.imag * turned.imag
+            columns[slot + 1, who] = at.real * turned.imag + at.imag * turned.real
+
+    def go_on(self, who: np.ndarray, n_blocks: int) -> None:
+        """Some jobs are so many blocks further."""
+        self._step[who] += n_blocks * self._block_steps
+        self._block[who] += n_blocks
 
 
 class LanesUnderWay:
@@ -52,86 +105,72 @@ class LanesUnderWay:
 
     Parameters
     ----------
-    riders : sequence of Rider
-        The jobs.
+    columns : (n_slots, n) array
+        The jobs' columns; they are changed.
+    clockwork : Clockwork
+        What turns in them.
+    kinds : (n,) int
+        The kind of each job.
     advance : sequence of callable
         What steps the jobs of each kind.
-    places : Places
-        Where things stand in a column.
+    n_states : int
+        States at the head of a column.
     units : (float, float)
         V and A of one unit of the kernel's sums; see `phasor_array`.
-    block_steps, dt_s : int, float
-        Steps of a block; step (s).
     """
 
     def __init__(
         self,
-        riders: Sequence[Rider],
+        columns: np.ndarray,
+        clockwork: Clockwork,
+        kinds: np.ndarray,
         advance: Sequence[Advance],
-        places: Places,
+        n_states: int,
         units: tuple[float, float],
-        block_steps: int,
-        dt_s: float,
     ):
-        self._advance, self._places, self._units = advance, places, units
-        self._block_steps, self._dt_s = block_steps, dt_s
-        self._columns = np.stack([rider.column for rider in riders], axis=1)
-        self._kind = np.array([rider.kind for rider in riders])
-        self._step = np.array([rider.step for rider in riders])
-        self._block = np.array([rider.window.first_block for rider in riders])
-        self._n_blocks = np.array([rider.window.n_blocks for rider in riders])
-        self._line_hz = np.array([rider.line_hz for rider in riders])
-        most = max(len(rider.tones) for rider in riders)
-        tones = [[*rider.tones, *[(0.0, 0j)] * (most - len(rider.tones))] for rider in riders]
-        self._tone_hz = np.array([[f_hz for f_hz, _ in of_rider] for of_rider in tones])
-        self._tone = np.array([[phasor for _, phasor in of_rider] for of_rider in tones], complex)
+        self._columns, self._clockwork, self._kinds = columns, clockwork, kinds
+        self._advance, self._n_states, self._units = advance, n_states, units
 
     def go_on(self, who: np.ndarray, n_blocks: int) -> np.ndarray:
         """`PhasorRun.go_on`."""
         heard = np.empty((len(who), 2, n_blocks, 2), complex)
         for kind, advance in enumerate(self._advance):
-            of_kind = np.flatnonzero(self._kind[who] == kind)
+            of_kind = np.flatnonzero(self._kinds[who] == kind)
             if len(of_kind):
                 heard[of_kind] = self._stretch(advance, who[of_kind], n_blocks)
         return heard
 
     def _stretch(self, advance: Advance, who: np.ndarray, n_blocks: int) -> np.ndarray:
-        lanes, n_states = self._filled(who), self._places.n_states
+        self._clockwork.set_phasors(self._columns, who)
+        lanes, n_states = in_lanes(self._columns, who), self._n_states
         sums = np.empty((len(lanes), n_blocks, 8, lanes.shape[2]))
         advance(lanes.reshape(len(lanes), -1), sums)
         self._columns[:n_states, who] = lanes[:, :n_states].transpose(1, 0, 2).reshape(n_states, -1)[:, : len(who)]
-        self._step[who] += n_blocks * self._block_steps
-        self._block[who] += n_blocks
+        self._clockwork.go_on(who, n_blocks)
         return phasor_array(sums, *self._units)[: len(who)]
 
-    def _filled(self, who: np.ndarray) -> np.ndarray:
-        """Flat arrays (n, n_slots, LANES) of some jobs; idle lanes follow the first of their array."""
-        from .kernels.lanes import LANES
 
-        self._set_clocks(who)
-        n, n_slots = -(-len(who) // LANES), len(self._columns)
-        lanes = aligned_zeros(n * n_slots, LANES).reshape(n, n_slots, LANES)
-        filled = np.append(who, np.full(n * LANES - len(who), who[(n - 1) * LANES]))
-        lanes[:] = self._columns[:, filled].reshape(n_slots, n, LANES).transpose(1, 0, 2)
-        return lanes
+def in_lanes(columns: np.ndarray, who: np.ndarray) -> np.ndarray:
+    """Some columns as flat arrays (n, n_slots, LANES); idle lanes follow the first of theirs."""
+    from .kernels.lanes import LANES
 
-    def _set_clocks(self, who: np.ndarray) -> None:
-        """What turns, as it stands at the jobs' own time: computed from the number of the step, not carried along."""
-        places, step = self._places, self._step[who]
-        line = _turned(self._line_hz[who] * step * self._dt_s)
-        self._set(places.line, who, line.real, line.imag)
-        n_blocks = self._n_blocks[who]
-        taper = _turned((self._block[who] % n_blocks) / n_blocks)
-        self._set(places.taper, who, taper.real, taper.imag)
-        for number, (f_hz, tone) in enumerate(zip(self._tone_hz.T, self._tone.T, strict=True)):
-            turned, at = _turned(f_hz[who] * step * self._dt_s), tone[who]
-            # by parts: numpy's product of complex arrays may round otherwise than that of two numbers
-            re = at.real * turned.real - at.imag * turned.imag
-            im = at.real * turned.imag + at.imag * turned.real
-            self._set(places.tones + places.tone_slots * number, who, re, im)
+    n, n_slots = -(-len(who) // LANES), len(columns)
+    lanes = aligned_zeros(n * n_slots, LANES).reshape(n, n_slots, LANES)
+    filled = np.append(who, np.full(n * LANES - len(who), who[(n - 1) * LANES]))
+    lanes[:] = columns[:, filled].reshape(n_slots, n, LANES).transpose(1, 0, 2)
+    return lanes
 
-    def _set(self, slot: int, who: np.ndarray, re: np.ndarray, im: np.ndarray) -> None:
-        self._columns[slot, who], self._columns[slot + 1, who] = re, im
+
+def standing(states: Sequence[Any], column: Callable[[Any], np.ndarray]) -> np.ndarray:
+    """``column`` (n_slots,) of every state as (n_slots, n): of many jobs from one state it is made once."""
+    each = {id(state): state for state in states}
+    number = {key: k for k, key in enumerate(each)}
+    columns = np.stack([column(state) for state in each.values()], axis=1)
+    return columns[:, [number[id(state)] for state in states]]
+
+
+def _set(columns: np.ndarray, slot: int, who: np.ndarray | slice, values: np.ndarray) -> None:
+    columns[slot, who], columns[slot + 1, who] = values.real, values.imag
 
 
 def _turned(cycles: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import cmath
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from math import isfinite, pi
 from typing import Any
@@ -20,12 +21,12 @@ from ..circuits.dynamics import Memory
 from ..circuits.feeding import Feeding
 from ..damping.control import NOTCH_XI
 from ..errors import SeqsweepError
-from ..injection import series_tones, turns
+from ..injection import series_tones
 from ..kernels.compiled import each
-from ..lanes import aligned_zeros, n_tones_of, phasors_of, set_complex
+from ..lanes import n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, PhasorRun, Phasors, Rating, Record, Source, Trace, Window
 from ..turbine.tone_table import FEWEST, common_period, waveform
-from ..under_way import LanesUnderWay, Places, Rider
+from ..under_way import Clockwork, LanesUnderWay, Places, Rider, in_lanes, standing
 from .behind_network import Bases, NetworkLanes, bases_of, direct_line, feeding, no_load
 from .equilibrium import References
 
@@ -166,19 +167,14 @@ class LaneDriven(ABC):
         own = getattr(self.run_phasors, "__func__", None) is LaneDriven.run_phasors  # an heir's is asked instead
         if not own or n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
             return None
-        riders = [
-            Rider(self._lane(job, window, block_steps, n_tones), 0, job.state.step, window, line_hz, self._tones(job))
-            for job, window in zip(jobs, windows, strict=True)
-            for line_hz in [window.f_hz - self.f1_hz]
-        ]
+        columns, clockwork = self._columns(jobs, windows, block_steps, n_tones)
         step, table = self._advance("_compensated" if self._compensated else ""), np.zeros((0, 2, kernel.LANES))
 
         def advance(lanes: np.ndarray, sums: np.ndarray) -> None:
             each(step, [table, lanes, n_tones, self.parameters, self.dt_s, block_steps, kernel.SUM_V, sums], (1, 7))
 
-        places = Places(kernel.N_STATES, kernel.LINE, kernel.TAPER, kernel.TONES, kernel.N_TONE_SLOTS)
         units = self.rating.peak_voltage_v, -self.rating.peak_current_a
-        return LanesUnderWay(riders, [advance], places, units, block_steps, self.dt_s)
+        return LanesUnderWay(columns, clockwork, np.zeros(len(jobs), int), [advance], kernel.N_STATES, units)
 
     def trace(self, state: InverterState, conditions: Conditions, n_steps: int) -> tuple[InverterState, Trace]:
         """Go on under ``conditions``, with everything worth seeing; see `MeasuredPlant.trace`.
@@ -241,41 +237,46 @@ class LaneDriven(ABC):
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int
     ) -> Iterator[tuple[np.ndarray, list[Job], np.ndarray, int]]:
         """Flat arrays of up to LANES jobs, in their order: (array, jobs, source table, tones)."""
-        from ..kernels.inverters import LANES, array_slots
+        from ..kernels.inverters import LANES
 
         for members in _alike(jobs, LANES):
             table = self._source_table(members)
             tones = 0 if len(table) else max(n_tones_of(job.injection) for job in members)
-            x = aligned_zeros(array_slots(max(tones, 1)), LANES)
-            of_members, windows = windows[: len(members)], windows[len(members) :]
-            for lane, (job, window) in enumerate(zip(members, of_members, strict=True)):
-                x[:, lane] = self._lane(job, window, block_steps, tones)
-            x[:, len(members) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write
-            yield x.ravel(), members, table, tones
+            columns, _ = self._columns(members, windows[: len(members)], block_steps, tones)
+            (lanes,) = in_lanes(columns, np.arange(len(members)))
+            windows = windows[len(members) :]
+            yield lanes.ravel(), members, table, tones
 
-    def _lane(self, job: Job, window: Window, block_steps: int, tones: int) -> np.ndarray:
-        """One lane's column of the flat array."""
+    def _columns(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, tones: int
+    ) -> tuple[np.ndarray, Clockwork]:
+        """The jobs' columns of the flat array, (n_slots, n), and what turns in them."""
         from ..kernels import inverters as kernel
 
-        state, source, z_base = job.state, job.state.source, self.base_impedance_ohm
-        x = np.zeros(kernel.array_slots(max(tones, 1)))
+        x = standing([job.state for job in jobs], partial(self._column, kernel.array_slots(max(tones, 1))))
+        riders = [
+            Rider(job.state.step, window, window.f_hz - self.f1_hz, self._tones(job))
+            for job, window in zip(jobs, windows, strict=True)
+        ]
+        mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
+        places = Places(kernel.LINE, kernel.TAPER, kernel.TONES, kernel.N_TONE_SLOTS, mean_taper)
+        clockwork = Clockwork(riders, places, tones, block_steps, self.dt_s)
+        clockwork.set_rotations(x)
+        clockwork.set_phasors(x, np.arange(len(jobs)))
+        return x, clockwork
+
+    def _column(self, n_slots: int, state: InverterState) -> np.ndarray:
+        """What stands still in the column of a job from ``state``, (n_slots,)."""
+        from ..kernels import inverters as kernel
+
+        x = np.zeros(n_slots)
         x[: kernel.N_STATES] = state.values
         set_complex(x, kernel.V_S, self._behind_line(state))
-        x[kernel.LINE_R], x[kernel.LINE_L] = self._line(source)
+        x[kernel.LINE_R], x[kernel.LINE_L] = self._line(state.source)
         x[kernel.P_REF], x[kernel.Q_REF], x[kernel.V_REF] = state.references
         x[kernel.DC_I], x[kernel.DC_SLOPE] = state.dc
-        set_complex(x, kernel.COMP, complex(*self.compensation) / z_base)
+        set_complex(x, kernel.COMP, complex(*self.compensation) / self.base_impedance_ohm)
         x[kernel.NOTCH_WIDTH] = 2.0 * NOTCH_XI * self.parameters.w1_rad_s
-        set_complex(x, kernel.LINE, turns((window.f_hz - self.f1_hz) * state.step * self.dt_s))
-        set_complex(x, kernel.LINE_ROT, turns((window.f_hz - self.f1_hz) * self.dt_s))
-        set_complex(x, kernel.TAPER, turns((window.first_block % window.n_blocks) / window.n_blocks))
-        set_complex(x, kernel.TAPER_ROT, turns(1.0 / (window.n_blocks * block_steps)))
-        mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
-        x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
-        for tone, (f_hz, amplitude) in enumerate(self._tones(job)[:tones]):  # the others are in the table
-            slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
-            set_complex(x, slot, amplitude * turns(f_hz * state.step * self.dt_s))
-            set_complex(x, slot + 2, turns(f_hz * 0.5 * self.dt_s))
         return x
 
     def _tones(self, job: Job) -> list[tuple[float, complex]]:

@@ -11,6 +11,7 @@ import cmath
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from math import ceil, pi, sqrt
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from ..damping.control import DAMPING_RANGES, NOTCH_XI, checked_compensation
 from ..damping.grid_side import GridSideDamper
 from ..errors import SeqsweepError
 from ..injection import check_source, series_tones, turns
-from ..lanes import Chart, aligned_zeros, n_tones_of, phasors_of, set_complex
+from ..lanes import Chart, n_tones_of, phasors_of, set_complex
 from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Compensation,
@@ -40,6 +41,7 @@ from ..protocol import (
     Window,
 )
 from ..space_vectors import PHASE_PEAK
+from ..under_way import Clockwork, in_lanes, standing
 from . import behind_network as network
 from . import equilibrium as stationary
 from .asked import kind_of, left_to_d, order_of, power_of
@@ -47,6 +49,7 @@ from .flow import poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .state import TurbineState
 from .tone_table import common_period, waveform
+from .under_way import clockwork_of, lanes_under_way
 
 if TYPE_CHECKING:
     from .farm import TurbineFarm
@@ -303,8 +306,6 @@ class ReferenceTurbine:
 
     def phasor_run(self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int) -> PhasorRun | None:
         """Jobs on their way together; see `LanePlant`."""
-        from .under_way import lanes_under_way
-
         own = getattr(self.run_phasors, "__func__", None) is ReferenceTurbine.run_phasors  # an heir's is asked instead
         return lanes_under_way(self, jobs, windows, block_steps) if own else None
 
@@ -335,7 +336,7 @@ class ReferenceTurbine:
         """State and samples (n_steps, 7) behind R and L."""
         from ..kernels import turbine as kernel
 
-        lane = self.lane(Job(start, None), Window(0.0, 1), 1, 0)
+        lane = self.columns([Job(start, None)], [Window(0.0, 1)], 1, 0)[0][:, 0]
         self._set_port(lane, start, conditions)
         lanes = np.repeat(lane, kernel.LANES)
         cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
@@ -349,7 +350,7 @@ class ReferenceTurbine:
     ) -> tuple[TurbineState, np.ndarray]:
         """State and samples (n_steps, 7) behind a network, a fault being a part of it."""
         job = Job(start, None)
-        lane = self.lane(job, Window(0.0, 1), 1, 1)
+        lane = self.columns([job], [Window(0.0, 1)], 1, 1)[0][:, 0]
         self._set_port(lane, start, replace(conditions, fault_s=SOUND))
         lanes, samples, after = network.traced(lane, job, kind_of(job)[1], p, self.dt_s, conditions.fault_s, n_steps)
         (end,) = self._ends(lanes, [job], n_steps)
@@ -395,8 +396,9 @@ class ReferenceTurbine:
                 together = [jobs[m] for m in members]
                 table = self._source_table(together)
                 n_tones = 0 if len(table) else max(n_tones_of(job.injection) for job in together)
-                slots = self._fill(together, [windows[m] for m in members], block_steps, n_tones)
-                yield slots.ravel(), members, self._kernel_for(together, table), n_tones
+                columns, _ = self.columns(together, [windows[m] for m in members], block_steps, n_tones)
+                (lanes,) = in_lanes(columns, np.arange(len(together)))
+                yield lanes.ravel(), members, self._kernel_for(together, table), n_tones
 
     def _kernel_for(self, jobs: list[Job], table: np.ndarray) -> Callable[..., None]:
         """What steps jobs of one kind."""
@@ -405,46 +407,40 @@ class ReferenceTurbine:
             return network.NetworkKernel(jobs, reactive, table, self.parameters, self.dt_s)
         return self.kernel_for(source, reactive, table)
 
-    def _fill(self, jobs: list[Job], windows: list[Window], block_steps: int, n_tones: int) -> np.ndarray:
+    def columns(
+        self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_tones: int
+    ) -> tuple[np.ndarray, Clockwork]:
+        """The jobs' columns of the flat array, (n_slots, n), and what turns in them."""
         from ..kernels import turbine as kernel
 
-        x = aligned_zeros(kernel.array_slots(n_tones), kernel.LANES)
-        for lane, (job, window) in enumerate(zip(jobs, windows, strict=True)):
-            x[:, lane] = self.lane(job, window, block_steps, n_tones)
-        x[:, len(jobs) :] = x[:, :1]  # idle lanes follow the first: finite, and cheap to write
-        return x
+        x = standing([job.state for job in jobs], partial(self._column, kernel.array_slots(n_tones)))
+        clockwork = clockwork_of(self, jobs, windows, block_steps, n_tones)
+        clockwork.set_rotations(x)
+        clockwork.set_phasors(x, np.arange(len(jobs)))
+        for lane, job in enumerate(jobs):
+            if job.state.source.circuit is not None:
+                network.set_sources(x[:, lane], self._forced(job), n_tones, job.state.time_s, 0.5 * self.dt_s)
+                continue
+            for tone, (f_hz, _) in enumerate(islice(series_tones(job.injection, job.state.source), n_tones)):
+                slot = kernel.TONES + kernel.N_TONE_SLOTS * tone + 4
+                set_complex(x[:, lane], slot, self._shunt_voltage_ratio(f_hz))
+        return x, clockwork
 
-    def lane(self, job: Job, window: Window, block_steps: int, n_tones: int) -> np.ndarray:
-        """One lane's column of the flat array."""
+    def _column(self, n_slots: int, state: TurbineState) -> np.ndarray:
+        """What stands still in the column of a job from ``state``, (n_slots,)."""
         from ..kernels import turbine as kernel
 
-        state, source = job.state, job.state.source
-        x = np.zeros(kernel.array_slots(n_tones))
+        x, source = np.zeros(n_slots), state.source
         x[: kernel.N_STATES] = state.values
         self.set_asked(x, state)
-        shunt = self._shunt_voltage_ratio(self.f1_hz)
         set_complex(x, kernel.V_S_RE, state.v_source)
-        set_complex(x, kernel.V_CS_RE, shunt * state.v_source)
+        set_complex(x, kernel.V_CS_RE, self._shunt_voltage_ratio(self.f1_hz) * state.v_source)
         x[kernel.COMP_R], x[kernel.COMP_X] = self.compensation
         x[kernel.NOTCH_W0] = self.parameters.w1_rad_s
         x[kernel.NOTCH_WIDTH] = 2.0 * NOTCH_XI * self.parameters.w1_rad_s
         x[kernel.FAULT_SHARE] = 1.0
         x[kernel.GRID_R] = source.r_ohm
         x[kernel.GRID_1_L] = 1.0 / source.l_h if source.kind == "thevenin" else 0.0
-        set_complex(x, kernel.LINE_RE, turns((window.f_hz - self.f1_hz) * state.step * self.dt_s))
-        set_complex(x, kernel.LINE_ROT_RE, turns((window.f_hz - self.f1_hz) * self.dt_s))
-        set_complex(x, kernel.TAPER_RE, turns((window.first_block % window.n_blocks) / window.n_blocks))
-        set_complex(x, kernel.TAPER_ROT_RE, turns(1.0 / (window.n_blocks * block_steps)))
-        mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
-        x[kernel.TAPER_GAIN] = 1.0 / (mean_taper * window.n_blocks * block_steps)
-        tones = list(series_tones(job.injection, source))
-        for tone, (f_hz, amplitude) in enumerate(tones[:n_tones]):  # the others are in the table
-            slot = kernel.TONES + kernel.N_TONE_SLOTS * tone
-            set_complex(x, slot, amplitude / PHASE_PEAK * turns((f_hz - self.f1_hz) * state.step * self.dt_s))
-            set_complex(x, slot + 2, turns((f_hz - self.f1_hz) * 0.5 * self.dt_s))
-            set_complex(x, slot + 4, self._shunt_voltage_ratio(f_hz))
-        if source.circuit is not None:
-            network.set_sources(x, self._forced(job), n_tones, state.time_s, 0.5 * self.dt_s)
         return x
 
     def set_asked(self, x: np.ndarray, state: TurbineState) -> None:

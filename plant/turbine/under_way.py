@@ -12,7 +12,7 @@ from ..kernels.compiled import each
 from ..lanes import n_tones_of
 from ..protocol import Job, Window
 from ..space_vectors import PHASE_PEAK
-from ..under_way import Advance, LanesUnderWay, Places, Rider
+from ..under_way import Advance, Clockwork, LanesUnderWay, Places, Rider
 from .asked import kind_of, order_of
 from .tone_table import FEWEST
 
@@ -30,21 +30,30 @@ def lanes_under_way(
     if n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
         return None
     kinds = sorted({kind_of(job) for job in jobs}, key=order_of)
-    number = {kind: k for k, kind in enumerate(kinds)}
+    numbers = np.array([kinds.index(kind_of(job)) for job in jobs])
+    columns, clockwork = turbine.columns(jobs, windows, block_steps, n_tones)
+    advance = [_advance(turbine, source, reactive, n_tones, block_steps) for source, reactive, _ in kinds]
+    return LanesUnderWay(columns, clockwork, numbers, advance, kernel.N_STATES, (PHASE_PEAK, -PHASE_PEAK))
+
+
+def clockwork_of(
+    turbine: ReferenceTurbine, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_tones: int
+) -> Clockwork:
+    """What turns in the jobs' columns, seen from the dq frame."""
+    from ..kernels import turbine as kernel
+
     riders = [
-        Rider(
-            turbine.lane(job, window, block_steps, n_tones),
-            number[kind_of(job)],
-            job.state.step,
-            window,
-            window.f_hz - turbine.f1_hz,
-            [(f - turbine.f1_hz, v / PHASE_PEAK) for f, v in series_tones(job.injection, job.state.source)],
-        )
+        Rider(job.state.step, window, window.f_hz - turbine.f1_hz, _tones(turbine, job))
         for job, window in zip(jobs, windows, strict=True)
     ]
-    places = Places(kernel.N_STATES, kernel.LINE_RE, kernel.TAPER_RE, kernel.TONES, kernel.N_TONE_SLOTS)
-    advance = [_advance(turbine, source, reactive, n_tones, block_steps) for source, reactive, _ in kinds]
-    return LanesUnderWay(riders, advance, places, (PHASE_PEAK, -PHASE_PEAK), block_steps, turbine.dt_s)
+    mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
+    places = Places(kernel.LINE_RE, kernel.TAPER_RE, kernel.TONES, kernel.N_TONE_SLOTS, mean_taper)
+    return Clockwork(riders, places, n_tones, block_steps, turbine.dt_s)
+
+
+def _tones(turbine: ReferenceTurbine, job: Job) -> list[tuple[float, complex]]:
+    """Tones of a job as (frequency in the dq frame in Hz, power-invariant voltage at time zero in V)."""
+    return [(f - turbine.f1_hz, v / PHASE_PEAK) for f, v in series_tones(job.injection, job.state.source)]
 
 
 def _advance(turbine: ReferenceTurbine, source: str, reactive: bool, n_tones: int, block_steps: int) -> Advance:

@@ -6,14 +6,16 @@ quarters of the error at the full one. Between two such points the larger spread
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import isfinite
 
 import numpy as np
 
+from ...identify.settling import norms
 from ...identify.table.format import unpack_covariance
-from .rows import Row, with_admittance
+from .rows import Row, Values, values_of
 
 ERROR_PER_SPREAD = 4.0 / 3.0
 """Error of Y at the full amplitude over the spread, for a cubic nonlinearity."""
@@ -51,33 +53,43 @@ def judged(rows: Sequence[Row], limit: float) -> list[Row]:
     list of Row
         ``linearity`` filled in, its error in the covariance.
     """
-    probed = np.array([k for k, row in enumerate(rows) if isfinite(row.linearity)], dtype=int)
-    if not len(probed):
+    probed = [k for k, row in enumerate(rows) if isfinite(row.linearity)]
+    known = [k for k, row in enumerate(rows) if isfinite(row.y[0])]
+    if not probed or not known:
         return list(rows)
-    return [_judged(row, max(_neighbours(rows, probed, k)), limit) for k, row in enumerate(rows)]
+    linearity = [max(_neighbours(rows, probed, k)) for k in known]
+    found = list(rows)
+    for k, x, values in zip(known, linearity, _with_error([rows[k] for k in known], linearity), strict=True):
+        found[k] = _judged(rows[k], x, limit, values)
+    return found
 
 
-def _neighbours(rows: Sequence[Row], probed: np.ndarray, k: int) -> list[float]:
+def _neighbours(rows: Sequence[Row], probed: Sequence[int], k: int) -> list[float]:
     """Linearity at the nearest probes on both sides of row ``k``, or at the row itself."""
-    right = int(np.searchsorted(probed, k))
+    right = bisect_left(probed, k)
     if right < len(probed) and probed[right] == k:
         return [rows[k].linearity]
     return [rows[p].linearity for p in probed[max(right - 1, 0) : right + 1]]
 
 
-def _judged(row: Row, linearity: float, limit: float) -> Row:
-    if not isfinite(row.y[0]):
-        return row
-    y = row.admittance
-    error = ERROR_PER_SPREAD * linearity * np.linalg.norm(y) / 2.0  # of each complex element
-    row = with_admittance(row, y, covariance_of(row) + 0.5 * error**2 * np.eye(8))
+def _with_error(rows: Sequence[Row], linearity: Sequence[float]) -> Iterator[Values]:
+    """Values of rows, the error that their ``linearity`` stands for added to the covariance."""
+    parts = np.array([row.y for row in rows])
+    y = (parts[:, 0::2] + 1j * parts[:, 1::2]).reshape(-1, 2, 2)
+    error = ERROR_PER_SPREAD * np.array(linearity) * norms(y.reshape(-1, 4)) / 2.0  # of each complex element
+    variance = np.array([0.5 * x**2 for x in error.tolist()])
+    return values_of(y, unpack_covariance(np.array([row.cov for row in rows])) + variance[:, None, None] * np.eye(8))
+
+
+def _judged(row: Row, linearity: float, limit: float, values: Values) -> Row:
+    y, cov = values
     if row.status != "ok" or linearity <= limit:
-        return replace(row, linearity=linearity)
+        return replace(row, y=y, cov=cov, linearity=linearity)
     reason = (
         f"the device is not linear at {row.amplitude_pu:g} pu: Y depends on the amplitude by {linearity:.2g} of its "
         f"size, {limit:g} is allowed (sweep.nonlinear_above); take another injection.amplitude_pu"
     )
-    return replace(row, linearity=linearity, status="nonlinear", reason=reason)
+    return replace(row, y=y, cov=cov, linearity=linearity, status="nonlinear", reason=reason)
 
 
 def covariance_of(row: Row) -> np.ndarray:

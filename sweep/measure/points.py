@@ -18,7 +18,7 @@ from ..excitation.frequencies import Frequency
 from ..plan import Batch
 from .baseline import Baseline
 from .proof import proven
-from .rows import Row, blank_row, values_of
+from .rows import Row, Values, blank_row, values_of
 
 DIVERGED_PU = 10.0
 """A response this many times the rated peak has left the small signal for good."""
@@ -90,7 +90,7 @@ def _solved(heard: Sequence[Heard], rows: Sequence[Row], v: np.ndarray, i: np.nd
     return [_filled(*each) for each in zip(heard, rows, cond_v.tolist(), values, strict=True)]
 
 
-def _filled(heard: Heard, row: Row, cond_v: float, values: tuple[tuple[float, ...], tuple[float, ...]]) -> Row:
+def _filled(heard: Heard, row: Row, cond_v: float, values: Values) -> Row:
     """The row with its result and what it rests on."""
     n_windows = min(len(s.v) for s in heard.pair)
     y, cov = values

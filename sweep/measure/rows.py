@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan
 
 import numpy as np
@@ -13,6 +13,9 @@ from ..excitation.frequencies import Frequency
 from ..plan import Batch
 
 UNKNOWN = (nan,) * N_COV
+
+Values = tuple[tuple[float, ...], tuple[float, ...]]
+"""``y`` and ``cov`` of a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +85,7 @@ def blank_row(batch: Batch, point: Frequency, status: str, reason: str) -> Row:
     )
 
 
-def with_admittance(row: Row, y: np.ndarray, covariance: np.ndarray) -> Row:
-    """The row with its result: ``y`` (2, 2) in S and ``covariance`` (8, 8) in S^2."""
-    ((elements, packed),) = values_of(y[None], covariance[None])
-    return replace(row, y=elements, cov=packed)
-
-
-def values_of(y: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[tuple[float, ...], tuple[float, ...]]]:
+def values_of(y: np.ndarray, covariance: np.ndarray) -> Iterator[Values]:
     """``y`` and ``cov`` of rows from admittances (n, 2, 2) in S and covariances (n, 8, 8) in S^2."""
     elements = np.stack([y.real, y.imag], axis=-1).reshape(len(y), 8)
     return zip(map(tuple, elements.tolist()), map(tuple, pack_covariance(covariance).tolist()), strict=True)

@@ -274,6 +274,8 @@ def _counted(responses: Iterable[FrequencyResponse], statuses: dict[str, int]) -
 
 def _refuse_strangers(plan: Plan, folder: Path) -> None:
     """Work of another campaign is not thrown away unasked: a forgotten ``--set`` would cost it."""
+    if not shards.keys(folder):
+        return
     first = pilots(plan).plans if plan.automatic else (plan,)
     ours = {batch.key for part in first for batch in part.batches()}
     strangers = shards.keys(folder) - ours

@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
-from math import isnan, nan
+from operator import attrgetter
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
@@ -22,6 +22,13 @@ from ..measure.rows import BatchResult, Row
 from ..plan import Batch
 
 _COLUMNS = tuple(column.name for column in fields(Row))
+_values_of = attrgetter(*_COLUMNS)
+_FORMAT = "condition, rows"
+"""Part of every check sum: a shard of another form counts as damaged, and is measured anew."""
+
+
+_BETWEEN = "\t"
+"""Between the two parts of a shard: JSON has no such character."""
 
 
 class OutputInUse(OSError):
@@ -72,6 +79,9 @@ class Store(Protocol):
     def read(self, batch: Batch) -> BatchResult | None:
         """The result of a batch; None where there is none, or it is damaged."""
 
+    def condition(self, batch: Batch) -> dict[str, float] | None:
+        """What the result of a batch says of its operating point; None as `read`."""
+
     def write(self, batch: Batch, result: BatchResult) -> None:
         """Keep the result of a batch."""
 
@@ -83,6 +93,10 @@ class Folder(NamedTuple):
 
     def read(self, batch: Batch) -> BatchResult | None:
         return read(self.path, batch.key)
+
+    def condition(self, batch: Batch) -> dict[str, float] | None:
+        text = kept(self.path, batch.key)
+        return None if text is None else json.loads(text.partition(_BETWEEN)[0])
 
     def write(self, batch: Batch, result: BatchResult) -> None:
         write(self.path, batch.key, result)
@@ -101,13 +115,18 @@ class Memory:
         kept = self.kept.get(batch.key)
         return None if kept is None else kept[1]
 
+    def condition(self, batch: Batch) -> dict[str, float] | None:
+        result = self.read(batch)
+        return None if result is None else result.condition
+
     def write(self, batch: Batch, result: BatchResult) -> None:
         self.kept[batch.key] = batch, result
 
 
 def write(folder: Path, key: str, result: BatchResult) -> None:
     """Keep ``result`` as the shard ``key``."""
-    keep(folder, key, json.dumps({"condition": result.condition, "rows": [_plain(row) for row in result.rows]}))
+    rows = json.dumps([dict(zip(_COLUMNS, _values_of(row), strict=True)) for row in result.rows])
+    keep(folder, key, f"{json.dumps(result.condition)}{_BETWEEN}{rows}")
 
 
 def keep(folder: Path, key: str, text: str) -> None:
@@ -131,8 +150,8 @@ def read(folder: Path, key: str) -> BatchResult | None:
     text = kept(folder, key)
     if text is None:
         return None
-    content = json.loads(text)
-    return BatchResult(tuple(_row(row) for row in content["rows"]), content["condition"])
+    condition, _, rows = text.partition(_BETWEEN)
+    return BatchResult(tuple(_row(**values) for values in json.loads(rows)), json.loads(condition))
 
 
 def kept(folder: Path, key: str) -> str | None:
@@ -164,17 +183,8 @@ def _is_key(name: str) -> bool:
 
 def _checksum(key: str, text: str) -> str:
     """Over the key too: a shard under another's name is not that other."""
-    return hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()
+    return hashlib.sha256(f"{_FORMAT}\n{key}\n{text}".encode()).hexdigest()
 
 
-def _plain(row: Row) -> dict[str, object]:
-    """JSON has no NaN: null stands for it."""
-    values = {name: getattr(row, name) for name in _COLUMNS}
-    lists = {name: [None if isnan(x) else x for x in values[name]] for name in ("y", "cov")}
-    return {name: None if isinstance(x, float) and isnan(x) else x for name, x in (values | lists).items()}
-
-
-def _row(values: dict[str, Any]) -> Row:
-    lists: dict[str, Any] = {name: tuple(nan if x is None else x for x in values.pop(name)) for name in ("y", "cov")}
-    plain: dict[str, Any] = {name: nan if x is None else x for name, x in values.items()}
-    return Row(**plain, **lists)
+def _row(y: list[float], cov: list[float], **others: Any) -> Row:
+    return Row(y=tuple(y), cov=tuple(cov), **others)

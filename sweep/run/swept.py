@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from ..measure.proof import stable_on
 from ..measure.rows import BatchResult, Row
 from ..plan import Batch, Condition, Plan
 from .shards import Store
+
+T = TypeVar("T")
 
 
 class Swept(NamedTuple):
@@ -60,9 +62,9 @@ class Swept(NamedTuple):
 
 
 def responses_of(plan: Plan, batches: Sequence[Batch], store: Store) -> Iterator[FrequencyResponse]:
-    for op_id, own in batches_by_condition(plan, batches).items():
+    for own in batches_by_condition(plan, batches).values():
         if own:
-            yield response_of(plan, op_id, judged(rows_of(store, own), plan.nonlinear_above))
+            yield _response(plan, own[0].condition, judged(rows_of(store, own), plan.nonlinear_above))
 
 
 def batches_by_condition(plan: Plan, batches: Sequence[Batch]) -> dict[str, list[Batch]]:
@@ -78,15 +80,26 @@ def rows_of(store: Store, batches: Sequence[Batch]) -> list[Row]:
 
 
 def _kept(store: Store, batch: Batch) -> BatchResult:
-    result = store.read(batch)
-    if result is None:
+    return _there(store, store.read(batch))
+
+
+def _seen(store: Store, batch: Batch) -> dict[str, float]:
+    return _there(store, store.condition(batch))
+
+
+def _there(store: Store, content: T | None) -> T:
+    if content is None:
         raise OSError(f"{store}: a shard was damaged or removed after it was written; run again to measure it anew")
-    return result
+    return content
 
 
 def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyResponse:
     """Rows of one operating point, ascending, as a response, with what its shots prove."""
-    proof = stable_on(plan, next(condition for condition in plan.conditions if condition.op_id == op_id), rows)
+    return _response(plan, next(condition for condition in plan.conditions if condition.op_id == op_id), rows)
+
+
+def _response(plan: Plan, condition: Condition, rows: Sequence[Row]) -> FrequencyResponse:
+    op_id, proof = condition.op_id, stable_on(plan, condition, rows)
     parts = np.array([row.y for row in rows])
     return FrequencyResponse(
         f_hz=np.array([row.f_hz for row in rows]),
@@ -108,7 +121,7 @@ def _metadata(
         "bases": {"rated_voltage_v": plant.rating.voltage_v, "rated_power_va": plant.rating.power_va},
         "power_meaning": plant.power_meaning,
         "operating_points": [
-            _condition_metadata(condition, plant, _kept(store, by_condition[condition.op_id][0]).condition)
+            _condition_metadata(condition, plant, _seen(store, by_condition[condition.op_id][0]))
             for condition in plan.conditions
             if by_condition[condition.op_id]
         ],
