@@ -377,9 +377,13 @@ class Plan:
         blocks = sum(point.window_blocks * (1 + (point.f_hz in self.probes)) for point in self.points)
         return 2 * len(self.conditions) * EXPECTED_WINDOWS * blocks * self.block.duration_s
 
+    def groups(self) -> list[tuple[Frequency, ...]]:
+        """Points that are measured together, longest windows first."""
+        return [self.points] if self.signal is not None else _gathered(self.points, self.probes, self.batch_pairs)
+
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
-        groups = [self.points] if self.signal is not None else _gathered(self.points, self.probes, self.batch_pairs)
+        groups = self.groups()
         for condition in self.conditions:
             for group in groups:
                 yield self.batch(condition, group)

@@ -1,31 +1,82 @@
-"""How long a campaign will take, from a stopwatch held to the unperturbed plant for a moment."""
+"""How long a campaign will take, from a stopwatch held to a few of its shots.
+
+The last batch of the first operating point, which has the shortest windows, is measured as the campaign will: that says
+how long the device takes to come to rest, from which follow the windows of all other shots, and what a batch costs
+beside its stepping.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from math import ceil, isfinite
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ...plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
-from ...plant.registry import PlantCard
+from ...plant.registry import PlantCard, releases_gil
 from ..measure.loadflow import reached
-from ..plan import EXPECTED_WINDOWS, Batch, Plan
+from ..measure.measure import measure
+from ..measure.rows import Row
+from ..measure.tones import RUN_BLOCKS
+from ..plan import EXPECTED_WINDOWS, SETTLE_S, Batch, Plan
 from .host import DEFAULT_TIMEOUT_S, host_at_hand
+from .workers import Workers, together
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
-BATCH_OVERHEAD_S = 2e-3
-"""Settling, solving and storing of a batch of the reference turbine."""
 
-START_S = 0.3
-"""Starting workers and writing the table."""
+QUICK_S, LONGER = 0.05, 16
+"""A call that takes no more is made again, so many times as long: what a call costs besides its blocks is taken off."""
+
+WHOLE = 1e-6
+"""Part of a window by which a time may be more than whole windows."""
+
+PATIENCE_S = 4.0
+"""A batch that promises to take longer is not tried."""
+
+START_S = 0.5
+"""Starting the command and its workers, and opening the table."""
+
+START_PROCESSES_S = 1.4
+"""The same where workers are processes."""
+
+ROW_S = 1e-4
+"""Keeping a row and writing it."""
+
+TURNS = 0.1
+"""What each further thread costs: it waits for its turn in Python."""
+
+
+class Cost(NamedTuple):
+    """What was found of a plant.
+
+    Attributes
+    ----------
+    block_s : float
+        Time (s) of a block of one run.
+    lanes : int
+        Shots that share a run.
+    beside_s : float
+        Time (s) that a batch takes beside stepping its shots: settling, judging, solving.
+    rest_s : mapping of float to float
+        Simulated time (s) after which the shots of a point repeat, by its frequency (Hz), as far as tried.
+    """
+
+    block_s: float
+    lanes: int
+    beside_s: float
+    rest_s: Mapping[float, float]
 
 
 def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     """Expected wall time (s) of ``plan`` with ``jobs`` workers on this machine.
 
-    The plant is settled at the first operating point and run for a few blocks, unperturbed where a shot is a tone, in
-    a child where only its card is here. Windows are as many as the plan expects.
+    The plant is settled at the first operating point and run for a few blocks, and then for a batch, in a child where
+    only its card is here.
 
     Raises
     ------
@@ -34,23 +85,45 @@ def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     ChildFailed
         If a plant in a child crashes, hangs or raises.
     """
-    per_block_s, together = _cost(plan, plant)
-    batches = list(plan.batches())
+    cost, batches = _cost(plan, plant), list(plan.batches())
+    threads = Workers(jobs, None, None).backend_for(plan, plant) == "threading"
+    n_together = together(len(batches), jobs) if threads and cost.lanes > 1 and releases_gil(plant) else 1
+    of_first = [batch for batch in batches if batch.condition is plan.conditions[0]]
+    work_s = [n_together * _work_s(plan, batch, cost, n_together) for batch in of_first]
+    all_s = sum(work_s) / n_together * len(plan.conditions)
+    shared_s = all_s / jobs * (1.0 + TURNS * (jobs - 1) * threads)
+    start_s = START_S if threads else START_PROCESSES_S
+    return start_s + ROW_S * len(plan.points) * len(plan.conditions) + max(max(work_s), shared_s)
+
+
+def _work_s(plan: Plan, batch: Batch, cost: Cost, n_together: int) -> float:
+    """Time (s) of one of ``n_together`` such batches that are measured together."""
     if plan.signal is not None:
-        blocks = [plan.simulated_s / plan.n_shots / plan.block.duration_s] * len(batches)
-    else:
-        blocks = [EXPECTED_WINDOWS * _blocks(batch, together) for batch in batches]
-    work_s = [per_block_s * n + BATCH_OVERHEAD_S for n in blocks]
-    return START_S + max(max(work_s), sum(work_s) / jobs)
+        blocks = (SETTLE_S + 2.0 * plan.signal.period_s) / plan.block.duration_s
+        return cost.block_s * blocks + cost.beside_s
+    blocks_of = _blocks(batch, cost.rest_s)
+    if cost.lanes == 1:
+        return cost.block_s * sum(blocks_of) + cost.beside_s
+    return cost.block_s * RUN_BLOCKS * _runs(blocks_of, cost.lanes, n_together) / n_together + cost.beside_s
 
 
-def _blocks(batch: Batch, together: int) -> float:
-    """Blocks of a window of every shot, ``together`` of them for the price of one; at least those of the longest."""
-    windows = [shot.window.n_blocks for of_point in batch.shots for shot in of_point]
-    return max(max(windows), sum(windows) / together)
+def _blocks(batch: Batch, rest_s: Mapping[float, float]) -> list[int]:
+    """Blocks that every shot will last: until it repeats, and two windows more that agree."""
+    shots = [shot for of_point in batch.shots for shot in of_point]
+    if not rest_s:
+        return [round(EXPECTED_WINDOWS) * shot.window.n_blocks for shot in shots]
+    usual, block_s = median(rest_s.values()), batch.block.duration_s
+    waited = [rest_s.get(shot.f_hz, usual) / (shot.window.n_blocks * block_s) for shot in shots]
+    return [(ceil(n - WHOLE) + 2) * shot.window.n_blocks for n, shot in zip(waited, shots, strict=True)]
 
 
-def _cost(plan: Plan, plant: Plant | PlantCard) -> tuple[float, int]:
+def _runs(blocks_of: Sequence[int], lanes: int, n_together: int) -> int:
+    """Runs of `RUN_BLOCKS` of ``n_together`` such batches, whose shots share lanes until they are over."""
+    rounds = np.ceil(np.array(blocks_of) / RUN_BLOCKS)
+    return sum(ceil(n_together * int(np.sum(rounds > done)) / lanes) for done in range(int(rounds.max())))
+
+
+def _cost(plan: Plan, plant: Plant | PlantCard) -> Cost:
     timeout_s = plan.hosting.timeout_s or DEFAULT_TIMEOUT_S
     late = f"settling and a few periods took longer than {timeout_s:g} s of wall time (plant.timeout_s)"
     cost = host_at_hand(plant, plan.hosting).ask(partial(_cost_or_refusal, plan), timeout_s, late)
@@ -59,37 +132,82 @@ def _cost(plan: Plan, plant: Plant | PlantCard) -> tuple[float, int]:
     return cost
 
 
-def _cost_or_refusal(plan: Plan, plant: Plant) -> tuple[float, int] | NotSettled:
+def _cost_or_refusal(plan: Plan, plant: Plant) -> Cost | NotSettled:
     try:
-        return _cost_of_a_block(plan, plant)
+        return _found(plan, plant)
     except NotSettled as refusal:
         return NotSettled(str(refusal), refusal.status)
 
 
-def _cost_of_a_block(plan: Plan, plant: Plant) -> tuple[float, int]:
-    """Seconds for one block of one run, and how many shots share a run."""
+def _found(plan: Plan, plant: Plant) -> Cost:
+    begin = time.perf_counter()
     source, point = reached(plant, plan.source, plan.conditions[0])
     state = plant.settle(point, source)
-    if plan.signal is not None:
-        return _cost_of_plays(plan, plant, state), 1
-    job = Job(state, None)
-    best = float("inf")
-    for _ in range(3):
+    settled_s = time.perf_counter() - begin
+    lanes = PROBE_JOBS if isinstance(plant, PhasorPlant) and plan.signal is None else 1
+    block_s = _block_s(plan, plant, state) if plan.signal is None else _cost_of_plays(plan, plant, state)
+    untried = Cost(block_s, lanes, settled_s, {})
+    *_, last = (plan.batch(plan.conditions[0], group) for group in plan.groups())
+    if plan.signal is not None or _work_s(plan, last, untried, 1) > PATIENCE_S:
+        return untried
+    return _tried(plan, plant, last, untried)
+
+
+def _tried(plan: Plan, plant: Plant, batch: Batch, untried: Cost) -> Cost:
+    """The cost after a batch was measured; once more where it is quick: the first time is for warmth."""
+    taken_s = float("inf")
+    for _ in range(2):
         begin = time.perf_counter()
-        if isinstance(plant, PhasorPlant):
-            plant.run_phasors([job] * PROBE_JOBS, [Window(0.0, 1)] * PROBE_JOBS, plan.block.steps, PROBE_BLOCKS)
-        else:
-            plant.run([job], plan.block.steps * PROBE_BLOCKS)
-        best = min(best, (time.perf_counter() - begin) / PROBE_BLOCKS)
-        if best > 1.0:
+        rows = measure(plant, batch).rows
+        taken_s = min(taken_s, time.perf_counter() - begin)
+        if taken_s > 0.1 * PATIENCE_S:
             break
-    return best, PROBE_JOBS if isinstance(plant, PhasorPlant) else 1
+    known = untried._replace(beside_s=0.0, rest_s=_rest_s(rows, batch))
+    return known._replace(beside_s=max(0.0, taken_s - _work_s(plan, batch, known, 1)))
+
+
+def _rest_s(rows: Sequence[Row], batch: Batch) -> dict[float, float]:
+    """Simulated time (s) before the last two windows of every point that came to rest, by its frequency (Hz)."""
+    windows_s = {point.f_hz: point.window_blocks * batch.block.duration_s for point in batch.points}
+    return {
+        row.f_hz: max(0.0, row.disturbed_s - 2.0 * windows_s[row.f_hz]) for row in rows if isfinite(row.disturbed_s)
+    }
+
+
+def _block_s(plan: Plan, plant: Plant, state: Any) -> float:
+    """Seconds for one block of one run, the unperturbed device's."""
+    job, steps = Job(state, None), plan.block.steps
+
+    def drive(n_blocks: int) -> None:
+        if isinstance(plant, PhasorPlant):
+            plant.run_phasors([job] * PROBE_JOBS, [Window(0.0, 1)] * PROBE_JOBS, steps, n_blocks)
+        else:
+            plant.run([job], steps * n_blocks)
+
+    return _slope_s(drive, PROBE_BLOCKS)
 
 
 def _cost_of_plays(plan: Plan, plant: Plant, state: Any) -> float:
     """Seconds for one block of the four plays together: their many tones cost more than the device."""
     jobs = [Job(state, play.injection(0.0)) for play in plan.plays_of(plan.conditions[0])]
-    plant.run(jobs, plan.block.steps)
-    begin = time.perf_counter()
-    plant.run(jobs, plan.block.steps)
-    return time.perf_counter() - begin
+    return _slope_s(lambda n_blocks: plant.run(jobs, n_blocks * plan.block.steps), 1)
+
+
+def _slope_s(drive: Callable[[int], object], n_blocks: int) -> float:
+    """Seconds by which each further block makes a call longer; of a slow plant, its share of a call."""
+    once_s = _least_s(partial(drive, n_blocks))
+    if once_s > QUICK_S:
+        return once_s / n_blocks
+    return max(_least_s(partial(drive, LONGER * n_blocks)) - once_s, 0.0) / ((LONGER - 1) * n_blocks)
+
+
+def _least_s(call: Callable[[], object]) -> float:
+    """Least time (s) of three calls; one is enough where it takes long."""
+    least_s = float("inf")
+    for _ in range(3):
+        begin = time.perf_counter()
+        call()
+        least_s = min(least_s, time.perf_counter() - begin)
+        if least_s > 1.0:
+            break
+    return least_s

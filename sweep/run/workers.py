@@ -132,9 +132,14 @@ def _bundles(batches: Sequence[Batch], jobs: int) -> list[Sequence[Batch]]:
 
     The last shots of an operating point leave lanes idle; those of several fill them.
     """
-    n = min(len(batches) // (FEW * jobs), MOST_TOGETHER)
-    n = n if n >= TOGETHER else 1
+    n = together(len(batches), jobs)
     return [batches[first : first + n] for first in range(0, len(batches), n)]
+
+
+def together(n_batches: int, jobs: int) -> int:
+    """How many of so many batches of a compiled plant a thread takes at once."""
+    n = min(n_batches // (FEW * jobs), MOST_TOGETHER)
+    return n if n >= TOGETHER else 1
 
 
 def _keys(batches: Sequence[Batch]) -> list[str]:
