@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -27,17 +28,19 @@ PAGE = HERE.parent / "docs" / "evidence.md"
 _said: dict[str, str] = {}
 
 LONG = (
-    "plant/test_farm_in_time.py", "sweep/test_grey_verify.py", "plant/test_emt.py", "sweep/test_kill.py",
-    "sweep/test_elements.py", "tuning/test_farm_advice.py", "sweep/test_show.py", "plant/test_grey_fmu.py",
-    "sweep/test_worst.py", "docs/test_notebooks.py", "plant/test_grey.py", "sweep/test_cli.py",
-    "sweep/test_report_browser.py", "plant/test_turbine_reactive.py", "tuning/test_verdict_families.py",
-    "sweep/test_farm_verify.py", "plant/test_inverters.py", "identify/test_confidence.py", "docs/test_examples.py",
-    "identify/test_jumps.py", "docs/test_paper.py", "plant/test_grey_inverter.py", "identify/test_hear.py",
-    "plant/test_process.py", "sweep/test_progress.py", "plant/test_step.py", "plant/test_compiled.py",
-    "sweep/test_report.py", "sweep/test_region.py", "plant/test_fmu.py", "identify/test_adaptive.py",
-    "tuning/grids/test_in_time.py", "sweep/test_farm_command.py", "face/test_trust.py", "sweep/test_damaged_files.py",
-    "sweep/test_report_many.py", "sweep/test_inverter_damping.py", "sweep/test_dask.py", "sweep/test_grid_elements.py",
-    "plant/test_grey_faults.py",
+    "plant/test_farm_in_time.py", "sweep/test_grey_verify.py", "sweep/test_kill.py", "tuning/test_farm_advice.py",
+    "sweep/test_elements.py", "docs/test_notebooks.py", "plant/test_emt.py", "sweep/test_cli.py",
+    "plant/test_grey_fmu.py", "sweep/test_report_browser.py", "identify/test_adaptive.py", "plant/test_fmu.py",
+    "docs/test_examples.py", "plant/test_turbine_reactive.py", "sweep/test_show.py", "plant/test_process.py",
+    "identify/test_jumps.py", "tuning/grids/test_in_time.py", "docs/test_site.py", "plant/test_grey.py",
+    "docs/test_paper.py", "plant/test_step.py", "sweep/test_columns.py", "sweep/test_farm_verify.py",
+    "plant/test_inverters.py", "sweep/test_region.py", "identify/test_grid_impedance.py", "identify/test_hear.py",
+    "sweep/test_farm_command.py", "plant/test_compiled.py", "tuning/test_verdict_families.py", "sweep/test_worst.py",
+    "tuning/test_verdict_cases.py", "sweep/test_child.py", "identify/test_confidence.py", "plant/test_events.py",
+    "sweep/test_report.py", "face/test_trust.py", "sweep/test_progress.py", "plant/test_grey_inverter.py",
+    "sweep/test_inverter_damping.py", "plant/test_sandbox.py", "tuning/test_stability.py", "sweep/test_shell.py",
+    "sweep/test_dask.py", "sweep/test_identify.py", "tuning/grids/test_elements.py", "plant/test_damping.py",
+    "sweep/bank/test_judge_command.py", "sweep/test_damaged_files.py",
 )  # fmt: skip
 """Files that take longest. They begin first, so that no worker is left alone with one at the end; files that need the
 same kernels stand apart, so that the second finds them compiled."""
@@ -47,6 +50,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whole files in that order, then the others; pytest-xdist takes them so with ``--no-loadscope-reorder``."""
     places = {HERE / name: place for place, name in enumerate(LONG)}
     items.sort(key=lambda item: places.get(item.path, len(LONG)))
+
+
+def pytest_collection_finish() -> None:
+    """Modules and tests stay to the end: the collector of garbage looks at them no more."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

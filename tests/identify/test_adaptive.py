@@ -30,7 +30,7 @@ from seqsweep.sweep.run import host, shards
 from seqsweep.sweep.run.campaign import RunError, run
 
 from ..support import oracle
-from ..support.commands import call, end_group, holding, shards_of, start, wait_for
+from ..support.commands import command, end_group, holding, shards_of, start, wait_for
 from ..support.resonances import TEN_HZ, ResonantBank
 
 F1_HZ = 50.0
@@ -339,7 +339,7 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path):
     finally:
         end_group(process)
     for table in tables:
-        done = call("run", path, "-o", table, "--jobs", 2)
+        done = command("run", path, "-o", table, "--jobs", 2)
         assert done.returncode == 0, done.stderr
         assert "interpolation error certified to" in done.stderr
     assert tables[0].read_bytes() == tables[1].read_bytes()

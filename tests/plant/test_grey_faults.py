@@ -8,7 +8,7 @@ from __future__ import annotations
 import pyarrow.parquet as pq
 import pytest
 
-from ..support.commands import command, group_members, start
+from ..support.commands import command, group_members, start, wait_for
 from ..support.controllers import build, needs_compiler
 
 pytestmark = needs_compiler
@@ -87,7 +87,7 @@ def test_a_controller_that_sleeps_is_ended_by_the_time_limit(tmp_path, switches)
     status, reason = rows_of(output)[SLOW_HZ]
     assert status == "failed"
     assert "took longer than" in reason
-    assert not group_members(process.pid)
+    wait_for(lambda: not group_members(process.pid), 60.0)
 
 
 @pytest.mark.parametrize("switch", ["FAULT_PRINT", "FAULT_MESSAGE", "FAULT_LEAK"])

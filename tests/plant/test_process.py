@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 
@@ -59,7 +60,6 @@ def test_the_same_sweep_through_a_process_gives_the_same_table(tmp_path):
 FAULTS = {
     "garbage": "is no frame STEP: standard output is for frames alone, print to standard error",
     "prints": "b'entering', which is no frame STEP",
-    "silence": "no answer to STEP within 1 s",
     "exit": "the program ended before it answered STEP: exit status 3, last words 'licence expired'",
     "segfault": "the program ended before it answered STEP: SIGSEGV",
     "huge": "announces 4294967295 bytes",
@@ -71,7 +71,7 @@ FAULTS = {
 
 def test_a_bad_program_costs_the_points_that_suffer_from_it_with_the_reason(tmp_path):
     """It goes wrong 2 s after its cold start, differently at each operating point: the window near f1 meets that."""
-    lines = f"[plant.parameters]\nfaults = {json.dumps(list(FAULTS))}\nafter = 40000\nanswer_s = 1.0"
+    lines = f"[plant.parameters]\nfaults = {json.dumps(list(FAULTS))}\nafter = 40000\nanswer_s = 300.0"
     powers = range(len(FAULTS) + 1)
     path = campaign(tmp_path, plant=f"process:{PEER}", plant_lines=lines, powers=powers)
     path.write_text(path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", "f_hz = [49.0, 300.0]"))
@@ -83,6 +83,17 @@ def test_a_bad_program_costs_the_points_that_suffer_from_it_with_the_reason(tmp_
     for (fault, words), response in zip(FAULTS.items(), ill, strict=True):
         assert response.status.tolist() == ["diverged" if fault == "nan" else "failed", "ok"], fault
         assert words in response.reason[0]
+
+
+def test_a_program_that_falls_silent_is_not_waited_for(tmp_path):
+    lines = '[plant.parameters]\nfaults = ["silence"]\nafter = 40000\nanswer_s = 1.0'
+    path = campaign(tmp_path, plant=f"process:{PEER}", plant_lines=lines, powers=[1.0])
+    path.write_text(path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", "f_hz = [49.0]"))
+    status, said = ended("run", path, "-o", tmp_path / "y.parquet", "--jobs", 1)
+    assert status == 1, said
+    (response,) = read_table(tmp_path / "y.parquet").responses
+    assert response.status.tolist() == ["failed"]
+    assert re.search(r"no answer to \w+ within 1 s", response.reason[0])
 
 
 @pytest.mark.parametrize("parameters", [{}, SNAPSHOT], ids=["from cold", "snapshots"])

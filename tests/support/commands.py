@@ -171,7 +171,7 @@ def ended(*arguments, timeout=600, **options):
     process = start(*arguments, **options)
     try:
         said = unfolded(process.communicate(timeout=timeout)[1])
-        assert group_members(process.pid) == []
+        wait_for(lambda: not group_members(process.pid), 60.0)  # who was killed may be a moment about it
     finally:
         end_group(process)
     return process.returncode, said

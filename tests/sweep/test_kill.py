@@ -11,6 +11,7 @@ import random
 import signal
 import time
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ import pytest
 from ..support.commands import (
     call,
     campaign,
+    command,
     end_group,
     group_members,
     holding,
@@ -30,12 +32,20 @@ from ..support.commands import (
 
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory):
-    """A campaign of a few seconds: (its file, the undisturbed bytes)."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    path, table = slow_campaign(folder), folder / "y.parquet"
-    done = call("run", path, "-o", table, "--jobs", 2)
-    assert done.returncode == 0, done.stderr
-    return path, table.read_bytes()
+    """A campaign of a second."""
+    return slow_campaign(tmp_path_factory.mktemp("slow"), rest_s=0.005)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(slow):
+    """Bytes of that campaign's table, by whether its plant runs isolated."""
+
+    @cache
+    def bytes_of(isolate):
+        table = slow.with_name(f"{isolate}.parquet")
+        return finished(slow, table, "--jobs", 2, "--set", f"plant.isolate={isolate}")
+
+    return bytes_of
 
 
 def killed(path, table, moment, *options, orphans=False, **environment):
@@ -54,24 +64,24 @@ def killed(path, table, moment, *options, orphans=False, **environment):
         end_group(process)
 
 
-def finished(path, table, *options):
+def finished(path, table, *options, run=command):
     """The same command again, to its end; the bytes of the table, beside which nothing may be left."""
-    done = call("run", path, "-o", table, *options)
+    done = run("run", path, "-o", table, *options)
     assert done.returncode == 0, done.stderr
     assert [other.name for other in table.parent.iterdir() if other.name.startswith(table.name)] == [table.name]
     return table.read_bytes()
 
 
-@pytest.mark.parametrize("n_shards", [0, 3, 6])
-def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, n_shards):
+@pytest.mark.parametrize(("n_shards", "isolate"), [(0, "false"), (3, "true"), (6, "false")])
+def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, undisturbed, n_shards, isolate):
     """Before the first shard, in the midst of them, near the last one."""
-    path, undisturbed = slow
-    table = tmp_path / "y.parquet"
-    assert killed(path, table, (tmp_path / "held").exists, "--jobs", 2, env=holding(table, n_shards))
+    setting = ["--jobs", 2, "--set", f"plant.isolate={isolate}"]
+    path, table = slow, tmp_path / "y.parquet"
+    assert killed(path, table, (tmp_path / "held").exists, *setting, env=holding(table, n_shards))
     assert not table.exists()
     kept = {shard: shard.stat().st_mtime_ns for shard in shards_of(table)}
     assert len(kept) >= n_shards
-    assert finished(path, table, "--jobs", 2) == undisturbed
+    assert finished(path, table, *setting) == undisturbed(isolate)
 
 
 def test_a_killed_worker_costs_nothing_but_time(tmp_path):
@@ -85,7 +95,8 @@ def test_a_killed_worker_costs_nothing_but_time(tmp_path):
     assert done.returncode == 0, done.stderr
     assert scar.exists()  # it did die
     assert "48 ok" in done.stderr
-    assert finished(path, fresh, *setting) == table.read_bytes()  # now nobody dies
+    alone = ["--set", "plant.isolate=false", "--backend", "threading"]
+    assert finished(path, fresh, *alone) == table.read_bytes()  # now nobody dies
 
 
 def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
@@ -94,7 +105,8 @@ def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
     table, fresh = tmp_path / "y.parquet", tmp_path / "fresh.parquet"
     setting = ["--set", "plant.isolate=false", "--jobs", 2]
     assert killed(path, table, (tmp_path / "held").exists, *setting, env=holding(table, 3))
-    assert finished(path, table, *setting) == finished(path, fresh, *setting)
+    alone = ["--set", "plant.isolate=false", "--backend", "threading"]
+    assert finished(path, table, *setting) == finished(path, fresh, *alone)
 
 
 N_KILLS = int(os.environ.get("SEQSWEEP_KILLS", "100"))
@@ -140,7 +152,7 @@ def test_whoever_is_killed_the_table_is_the_same(tmp_path, backend, isolated):
     path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 5)], n=40)
     setting = ["--jobs", 2, "--backend", backend, "--set", f"plant.isolate={str(isolated).lower()}"]
     begin = time.monotonic()
-    undisturbed = finished(path, tmp_path / "fresh.parquet", *setting)
+    undisturbed = finished(path, tmp_path / "fresh.parquet", *setting, run=call)
     whole_s = time.monotonic() - begin
     seed = random.SystemRandom().randrange(1 << 32)
     dice, hits, runs = random.Random(seed), {"runner": 0, "other": 0}, 0
@@ -150,7 +162,7 @@ def test_whoever_is_killed_the_table_is_the_same(tmp_path, backend, isolated):
         if hit := struck(path, table, dice.uniform(0.0, whole_s), dice, *setting):
             hits[hit] += 1
         if not table.exists():
-            finished(path, table, *setting)
+            finished(path, table, *setting, run=call)
         assert table.read_bytes() == undisturbed
         table.unlink()
     print(f"\n  {backend}, {'isolated' if isolated else 'here'}: seed {seed}, kills {hits}, {runs} campaigns", end="")
@@ -168,7 +180,7 @@ def test_kills_at_random_moments_leave_the_bytes_alone(tmp_path, backend):
     fresh = tmp_path / "fresh.parquet"
     setting = ["--jobs", 2, "--backend", backend]
     begin = time.monotonic()
-    undisturbed = finished(path, fresh, *setting)
+    undisturbed = finished(path, fresh, *setting, run=call)
     whole_s = time.monotonic() - begin
     dice, kills, runs = random.Random(11), 0, 0
     while kills < 30:
@@ -180,6 +192,6 @@ def test_kills_at_random_moments_leave_the_bytes_alone(tmp_path, backend):
             if table.exists():
                 break
         if not table.exists():
-            finished(path, table, *setting)
+            finished(path, table, *setting, run=call)
         assert table.read_bytes() == undisturbed
     print(f"\n  {backend}: {kills} kills in {runs} campaigns of {whole_s:.1f} s, every table as undisturbed", end="")

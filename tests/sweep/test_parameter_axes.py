@@ -14,7 +14,7 @@ from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.region.adaptive import region_of, sweep_region
 
 from ..support import oracle
-from ..support.commands import call
+from ..support.commands import command
 from ..support.regions import F_HZ, U_V
 from ..support.rounds import exact_round
 
@@ -76,23 +76,23 @@ def test_a_parameter_has_to_be_given_and_to_be_known(surrogate):
 
 
 def test_commands_take_values_for_parameters(path, tmp_path):
-    written = call("surrogate", path, "-o", tmp_path / "s.parquet")
+    written = command("surrogate", path, "-o", tmp_path / "s.parquet")
     assert "k_pp 0.05 to 0.12" in written.stdout, written.stderr
-    done = call("surrogate", path, "--at", "0.65,0,1,k_pp=0.08", "-o", tmp_path / "p.parquet")
+    done = command("surrogate", path, "--at", "0.65,0,1,k_pp=0.08", "-o", tmp_path / "p.parquet")
     assert done.returncode == 0, done.stderr
     assert read_table(tmp_path / "p.parquet").op_ids == ("p0.65_q0_v1_k_p0.2_k_pp0.08",)
     grid = ("--grid", "0.012+0.25j", "--power", "0.65", "--parameter", "k_pp=0.08")
-    done = call("tune", tmp_path / "s.parquet", *grid)
+    done = command("tune", tmp_path / "s.parquet", *grid)
     assert done.returncode == 0, done.stderr
-    missing = call("tune", tmp_path / "s.parquet", *grid[:4])
+    missing = command("tune", tmp_path / "s.parquet", *grid[:4])
     assert missing.returncode == 2
     assert "say which value k_pp has" in " ".join(missing.stderr.split())
 
 
 def test_the_worst_of_all_parameters_is_no_better_than_that_of_one(path, tmp_path):
-    call("surrogate", path, "-o", tmp_path / "s.parquet")
+    command("surrogate", path, "-o", tmp_path / "s.parquet")
     asked = ("tune", tmp_path / "s.parquet", "--worst", "--sweeps", 0, "--grid", "0.012+0.25j", "--json")
-    found, held = call(*asked), call(*asked, "--parameter", "k_pp=0.08")
+    found, held = command(*asked), command(*asked, "--parameter", "k_pp=0.08")
     assert found.returncode == held.returncode == 0, found.stderr + held.stderr
 
     def margin(done):

@@ -218,9 +218,9 @@ def test_a_plot_names_device_frequencies_and_mirror(drawn: Path) -> None:
 
 def test_few_operating_points_are_overlaid_and_of_many_the_chosen_one_is_drawn(many: Path, tmp_path: Path) -> None:
     few = [response(f"p{k}", 0.2 * (k + 1)) for k in range(MAX_OVERLAID)]
-    assert len(bode(few, tmp_path / "few.png")) == MAX_OVERLAID
-    assert bode(many, tmp_path / "many.png") == ("p00",)
-    assert bode(many, tmp_path / "many.png", "p17") == ("p17",)
+    assert len(bode(few, tmp_path / "few.svg")) == MAX_OVERLAID
+    assert bode(many, tmp_path / "many.svg") == ("p00",)
+    assert bode(many, tmp_path / "many.svg", "p17") == ("p17",)
 
 
 def test_rows_without_a_value_leave_a_mark_and_a_gap_but_no_line() -> None:
