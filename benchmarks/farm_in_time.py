@@ -5,7 +5,8 @@
 For every number of turbines, on a star (each behind its transformer on one bus) and on strings of four on cables, the
 medians over the rounds of the CPU time of one step, per turbine; each round measures the farm and the lane one after
 the other. `lane`: `run_phasors` of eight lanes behind R + jX, without damping control, which a farm's lane always has;
-`damped lane`: with it. Waveforms that are handed over cost beside it; they are left out on both sides.
+`damped lane`: with it. Waveforms that are handed over cost beside it; they are left out on both sides. Last, the CPU time
+of a whole run with control, of which most is the search for resonances.
 """
 
 from __future__ import annotations
@@ -18,8 +19,11 @@ import numpy as np
 
 from seqsweep.plant.circuits.branches import GROUND, Branch
 from seqsweep.plant.circuits.circuit import SOURCE, Circuit
+from seqsweep.plant.damping.control import DampingSettings
+from seqsweep.plant.damping.farm_events import FarmControl, FarmScenario, simulate_farm
 from seqsweep.plant.kernels import turbine_farm as kernel
 from seqsweep.plant.protocol import Compensation, FarmConditions, Job, Member, OperatingPoint, Source, Window
+from seqsweep.plant.turbine.farm import TurbineFarm
 from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 
@@ -53,9 +57,7 @@ def _source(n: int) -> Branch:
 
 def farm_s(n: int, circuit: Circuit, n_steps: int) -> tuple[Callable[[], float], list[int]]:
     """What measures a farm's CPU time per turbine and step (s), and the sums that the turbines exchange."""
-    plant = ReferenceTurbine()
-    farm = plant.together([Member(f"wt{k}", f"t{k}", POWER_W) for k in range(n)])
-    conditions = FarmConditions(circuit, 690.0, (True,) * n, (1.0,) * n, (Compensation(),) * n)
+    farm, conditions = on_network(n, circuit)
     state = farm.at_rest(conditions, settled(farm, conditions))
     spent: list[float] = []
     advance = kernel.advance_farm
@@ -79,7 +81,25 @@ def farm_s(n: int, circuit: Circuit, n_steps: int) -> tuple[Callable[[], float],
     return measured, sums
 
 
-def settled(farm: object, conditions: FarmConditions) -> np.ndarray:
+def on_network(n: int, circuit: Circuit) -> tuple[TurbineFarm, FarmConditions]:
+    """n turbines, and what surrounds them."""
+    farm = ReferenceTurbine().together([Member(f"wt{k}", f"t{k}", POWER_W) for k in range(n)])
+    return farm, FarmConditions(circuit, 690.0, (True,) * n, (1.0,) * n, (Compensation(),) * n)
+
+
+def whole_s(n: int, circuit: Circuit, simulated_s: float) -> float:
+    """CPU time (s) of a run in which every turbine has its own estimator and control."""
+    farm, conditions = on_network(n, circuit)
+    v = tuple(complex(x) for x in settled(farm, conditions))
+    scenario = FarmScenario(circuit, 690.0, (True,) * n, v, ("bus", "source"), 563.4)
+    control = FarmControl((DampingSettings(0.5, LINE_R_OHM, LINE_L_H, 77.0),) * n)
+    simulate_farm(farm, scenario, control, 0.01)
+    begun = time.process_time()
+    simulate_farm(farm, scenario, control, simulated_s)
+    return time.process_time() - begun
+
+
+def settled(farm: TurbineFarm, conditions: FarmConditions) -> np.ndarray:
     """Terminal voltages (n,) of the load flow, by fixed-point iteration."""
     n = len(farm.members)
     v = np.full(n, 690.0 + 0j)
@@ -116,6 +136,7 @@ def main() -> None:
     parser.add_argument("--turbines", type=int, nargs="+", default=[2, 8, 13, 50])
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--steps", type=int, default=8000)
+    parser.add_argument("--seconds", type=float, default=2.5, help="simulated time of the whole runs; 0: none")
     asked = parser.parse_args()
     lane, damped = lane_s(0.0, asked.steps), lane_s(0.5, asked.steps)
     print("turbines  network  sums            ns/turbine  lane  damped lane  ratio  to the damped")
@@ -130,6 +151,10 @@ def main() -> None:
                 f"{n:8d}  {name:7s}  {exchanged:14s}  {own:10.0f}  {plain:4.0f}  {with_port:11.0f}  "
                 f"{ratios[0]:5.1f}  {ratios[1]:13.1f}"
             )
+    for n in asked.turbines if asked.seconds else ():
+        for name, build in (("star", star), ("strings", strings)):
+            spent = whole_s(n, build(n), asked.seconds)
+            print(f"{n} turbines, {name}: {asked.seconds:g} s with control in {spent:.1f} s of CPU")
 
 
 if __name__ == "__main__":

@@ -11,8 +11,10 @@ Below the limit it is linear: i(s) = G(s) v(s) with
 
     G(s) = s / (s + w_w) w_b (y_mode / (s - 1j nu + w_b) + y_mirror / (s + 1j nu + w_b)) / (1 + s T)
 
-for the positive component v_d + 1j v_q, and conj(G(conj s)) for v_d - 1j v_q. `GridSideDamper.admittance` and
-`GridSideDamper.states` are this in frequency, for the pencil and the locus; `plant.kernels` steps the same in time.
+for the positive component v_d + 1j v_q, and conj(G(conj s)) for v_d - 1j v_q. Without a washout, w_w = 0, m is zero and
+the factor s / (s + w_w) one. Of the fundamental the band-passes then let the part w_b / |w_b - 1j nu| through, which
+takes some of its current. `GridSideDamper.admittance` and `GridSideDamper.states` are this in frequency, for
+the pencil and the locus; `plant.kernels` steps the same in time.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ class GridSideDamper:
     limit_a : float
         Largest |i|, power-invariant (A): a share of the farm's S / U. It acts in time alone.
     bandwidth_rad_s, washout_rad_s, lag_s : float
-        w_b, w_w (rad/s) and T (s).
+        w_b, w_w (rad/s; zero: no washout) and T (s).
 
     Raises
     ------
@@ -76,10 +78,14 @@ class GridSideDamper:
     lag_s: float = LAG_S
 
     def __post_init__(self) -> None:
-        for name in ("nu_rad_s", "bandwidth_rad_s", "washout_rad_s", "lag_s"):
+        for name in ("nu_rad_s", "bandwidth_rad_s", "lag_s"):
             value = getattr(self, name)
             if not (value > 0.0 and isfinite(value)):
                 raise SeqsweepError(f"{name} of the grid-side damper is {value:g}; needed is a finite number above 0")
+        if not (self.washout_rad_s >= 0.0 and isfinite(self.washout_rad_s)):
+            raise SeqsweepError(
+                f"washout_rad_s of the grid-side damper is {self.washout_rad_s:g}; needed is 0 or above"
+            )
         if not self.limit_a >= 0.0:
             raise SeqsweepError(f"limit_a of the grid-side damper is {self.limit_a:g} A; needed is a number from 0 on")
 
@@ -111,13 +117,26 @@ class GridSideDamper:
         b, c = np.array([[w_w], [w_b], [w_b], [0.0]]), np.array([[0.0, 0.0, 0.0, 1.0]])
         return DamperStates(_real(a), _real(b), _real(c))
 
+    def at_rest(self, v: complex) -> np.ndarray:
+        """States (8,) where the bus's voltage has been ``v`` for long, without current."""
+        w_b, nu = self.bandwidth_rad_s, 1j * self.nu_rad_s
+        held, left = (v, 0.0) if self.washout_rad_s else (0.0, v)
+        z = np.array([held, w_b * left / (w_b - nu), w_b * left / (w_b + nu), 0.0], dtype=complex)
+        return np.stack([z.real, z.imag], axis=1).ravel()
+
     def scaled(self, factor: float) -> GridSideDamper:
         """The same with its admittances multiplied."""
         return replace(self, y_mode=factor * self.y_mode, y_mirror=factor * self.y_mirror)
 
 
 def aimed_at(
-    pole: complex, plus: complex, minus: complex, size_s: float, limit_a: float = inf, lag_s: float = LAG_S
+    pole: complex,
+    plus: complex,
+    minus: complex,
+    size_s: float,
+    limit_a: float = inf,
+    lag_s: float = LAG_S,
+    washout_rad_s: float = WASHOUT_RAD_S,
 ) -> GridSideDamper:
     """The converter whose current moves a mode straight to the left, to first order.
 
@@ -131,7 +150,7 @@ def aimed_at(
         plus = (l_d - 1j l_q)(r_d + 1j r_q) / 2D, minus = (l_d + 1j l_q)(r_d - 1j r_q) / 2D.
     size_s : float
         Length (S) of the pair of admittances at the mode; it is parted in proportion to the effect.
-    limit_a, lag_s : float
+    limit_a, lag_s, washout_rad_s : float
         As of `GridSideDamper`; the lag, and the washout, are made up for at the mode.
 
     Raises
@@ -145,16 +164,17 @@ def aimed_at(
     if not effect > 0.0:
         raise SeqsweepError("the mode is not seen at this bus: place the grid-side damper where devices take part")
     at_mode, at_mirror = (
-        complex(_shaping(np.array(s), WASHOUT_RAD_S, lag_s) * BANDWIDTH_RAD_S / (pole.real + BANDWIDTH_RAD_S))
+        complex(_shaping(np.array(s), washout_rad_s, lag_s) * BANDWIDTH_RAD_S / (pole.real + BANDWIDTH_RAD_S))
         for s in (pole, pole.conjugate())
     )
-    wanted = size_s * plus.conjugate() / effect, size_s * minus / effect
-    return GridSideDamper(pole.imag, wanted[0] / at_mode, wanted[1] / at_mirror, limit_a, lag_s=lag_s)
+    y_mode, y_mirror = size_s * plus.conjugate() / effect / at_mode, size_s * minus / effect / at_mirror
+    return GridSideDamper(pole.imag, y_mode, y_mirror, limit_a, BANDWIDTH_RAD_S, washout_rad_s, lag_s)
 
 
 def _shaping(s: np.ndarray, washout_rad_s: float, lag_s: float) -> np.ndarray:
     """Washout and lag."""
-    shaped: np.ndarray = s / (s + washout_rad_s) / (1.0 + s * lag_s)
+    washed = s / (s + washout_rad_s) if washout_rad_s else 1.0
+    shaped: np.ndarray = washed / (1.0 + s * lag_s)
     return shaped
 
 

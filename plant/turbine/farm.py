@@ -122,8 +122,8 @@ class TurbineFarm:
         terminals, buses = seen[: len(wanted)], seen[len(wanted) :]
         if np.max(np.abs(terminals - wanted)) > 1e-5 * np.max(np.abs(wanted)):
             raise SeqsweepError("the load flow does not belong to this network: its terminal voltages are others")
-        dampers = np.zeros((len(self.dampers), 8))
-        dampers[:, :2] = as_pairs(buses).reshape(-1, 2)  # what is steady has been taken off for long
+        rested = [device.at_rest(complex(v)) for (_, device), v in zip(self.dampers, buses, strict=True)]
+        dampers = np.array(rested).reshape(-1, 8)
         return FarmState(0, 0.0, turbines, memory, dampers, complex(conditions.source_v))
 
     def _steady(

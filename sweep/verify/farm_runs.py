@@ -127,10 +127,10 @@ class _Setting:
         self.story = story
         self.document = _with_switched(document, story)
         begun = _out_at_first(document, story)
-        self.farm = judged(farm_of(document), library)
         everything = farm_of(self.document)
         self.devices = everything.devices
         self.plant = _plant_of(self.devices, library)
+        self.farm = judged(farm_of(document), library)
         self.library = library
         self.stages = _stages(begun, story)
         self._check_names(everything)
@@ -361,13 +361,30 @@ def _plant_of(devices: Sequence[DeviceEntry], library: Library) -> FarmPlant:
     first, *others = sections.values()
     if any(other != first for other in others):
         raise VerifyError(
-            f"the tables are of different devices ({', '.join(sections)}); simulated together are devices of one plant "
-            "with one set of parameters"
+            f"the tables are of different devices ({_named_apart(sections)}); simulated together are devices of one "
+            f"plant with one set of parameters, {TOGETHER}. {_INSTEAD}"
         )
     plant = make_plant(first["id"], first.get("parameters", {}))
     if not isinstance(plant, FarmPlant):
-        raise VerifyError(f"{plant.id} cannot be simulated as a farm; dpmsg-v1 can")
+        raise VerifyError(
+            f"{first['id']} ({', '.join(sections)}) is a device that is driven alone: many on one network are "
+            f"simulated of {TOGETHER}. {_INSTEAD}"
+        )
     return plant
+
+
+TOGETHER = "dpmsg-v1"
+"""The plants that can be stepped together on one network."""
+
+_INSTEAD = (
+    "Their verdict does not need that: seqsweep farm FILE judges any devices together; and one device is simulated "
+    "behind its grid by seqsweep tune, then verify"
+)
+
+
+def _named_apart(sections: Mapping[str, Mapping[str, Any]]) -> str:
+    """Tables with the plant that each was swept of."""
+    return ", ".join(f"{table}: {section['id']}" for table, section in sections.items())
 
 
 def _circuit(entry: FarmEntry) -> Circuit:

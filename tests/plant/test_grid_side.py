@@ -97,3 +97,15 @@ def test_an_aim_without_a_target_is_refused():
         aimed_at(-1.0 + 100.0j, 0.0j, 0.0j, 1.0)
     with pytest.raises(SeqsweepError, match="oscillate"):
         aimed_at(-1.0 + 0.0j, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("washout_rad_s", [6.0, 0.0])
+def test_at_rest_its_states_do_not_move_and_without_a_washout_the_fundamental_is_in_them(washout_rad_s):
+    damper = GridSideDamper(180.0, 0.01 + 0.02j, 0.001, washout_rad_s=washout_rad_s)
+    v = 3.0 - 4.0j
+    a, b, _ = damper.states()
+    x = damper.at_rest(v)
+    moved = (a @ x + b @ [v.real, v.imag])[:6]  # the current is held at zero as long as it does not act
+    np.testing.assert_allclose(moved, 0.0, atol=1e-12)
+    passed = 0.0 if washout_rad_s else damper.bandwidth_rad_s / abs(damper.bandwidth_rad_s - 180j)
+    assert abs(complex(*x[2:4])) / abs(v) == pytest.approx(passed)

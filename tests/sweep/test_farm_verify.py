@@ -213,8 +213,20 @@ def test_devices_that_cannot_be_simulated_together_are_refused(truth):
     with pytest.raises(VerifyError, match="t1 names no campaign"):
         verify_farm(document(), Library(tables.__getitem__), KICK)
     tables["t1"].meta["configuration"] = {"plant": {"id": "dpmsg-v1", "parameters": {"k_pp": 0.1}}}
-    with pytest.raises(VerifyError, match="devices of one plant"):
+    with pytest.raises(VerifyError, match=r"t0: dpmsg-v1, t1: dpmsg-v1.*devices of one plant"):
         verify_farm(document(), Library(tables.__getitem__), KICK)
+
+
+@pytest.mark.parametrize("name", ["gfl-v1", "gfm-v1"])
+def test_inverters_are_refused_in_time_with_what_can_be_driven_and_what_judges_them(truth, name):
+    inverter = {"plant": {"id": name, "parameters": {}}}
+    tables = {f"t{k}": farms.table_of(p, abs(truth[1][k]), configuration=inverter) for k, p in enumerate(POWERS_W)}
+    with pytest.raises(VerifyError) as refusal:
+        verify_farm(document(), Library(tables.__getitem__), KICK)
+    said = str(refusal.value)
+    assert said.startswith(f"{name} (t0, t1, ")
+    assert "are simulated of dpmsg-v1" in said
+    assert "seqsweep farm FILE judges any devices together" in said
 
 
 def test_options_of_a_tuning_do_not_go_with_a_farm(tmp_path):

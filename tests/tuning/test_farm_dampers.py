@@ -37,10 +37,19 @@ def best(library):
     return damped(library)
 
 
-def test_partial_fractions_are_the_converter_s_admittance():
-    device = GridSideDamper(170.0, 0.03 - 0.04j, -0.01 + 0.002j)
+@pytest.mark.parametrize("washout_rad_s", [2.0 * np.pi, 0.0])
+def test_partial_fractions_are_the_converter_s_admittance(washout_rad_s):
+    device = GridSideDamper(170.0, 0.03 - 0.04j, -0.01 + 0.002j, washout_rad_s=washout_rad_s)
     s = np.array([3.0 + 170j, -7.0 - 170j, 1j, 900j, -40.0 + 12j])
     np.testing.assert_allclose(evaluate(model_of(device), s), device.admittance(s), rtol=1e-10)
+
+
+def test_modes_with_a_damper_without_a_washout_are_those_of_the_exact_farm(library):
+    found = damped(library, washout_hz=0.0)
+    truth, _ = closed_loop(STAR, POWERS_W, at_bus=tuple(found.dampers[0].device.states()))
+    assert nearest(found.judgement.critical.pole, truth) < 1e-4
+    assert found.judgement.verdict == "stable"
+    assert np.abs(found.system.poles()).min() > 1.0  # no mode at f1: there is nothing that would remember
 
 
 def test_modes_with_a_damper_are_those_of_the_exact_farm(best):

@@ -9,7 +9,7 @@ oscillation from which the mode still decays, by that describing function.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, pi
 
 import numpy as np
 
@@ -72,10 +72,15 @@ def _aimed(
 ) -> Damper:
     plus, minus = seen_from(entry, damper.bus, units, pole)
     limit = damper.share * rating_va(units) / entry.voltages_v[damper.bus]
+    washout = 2.0 * pi * damper.washout_hz
+
+    def sized(size_s: float) -> Damper:
+        return _placed(damper, aimed_at(pole, plus, minus, size_s, limit, washout_rad_s=washout))
+
     if damper.size_s is not None:
-        return _placed(damper, aimed_at(pole, plus, minus, damper.size_s, limit))
+        return sized(damper.size_s)
     first = 2.0 / float(np.hypot(abs(plus), abs(minus)))  # moves the mode by 2 1/s, to first order
-    tried = [_placed(damper, aimed_at(pole, plus, minus, first * 2.0**k, limit)) for k in range(TRIED)]
+    tried = [sized(first * 2.0**k) for k in range(TRIED)]
     worst = [largest_growth(entry, (*units, *(o.unit for o in others), one.unit)) for one in tried]
     best = int(np.argmin(worst))
     between = [_placed(damper, tried[best].device.scaled(factor)) for factor in (0.7, 0.85, 1.2, 1.4)]
@@ -162,13 +167,14 @@ def model_of(device: GridSideDamper) -> RationalModel:
     """
     nu, w_b, w_w, lag = device.nu_rad_s, device.bandwidth_rad_s, device.washout_rad_s, device.lag_s
     of_g = np.array([-w_w, -1.0 / lag, 1j * nu - w_b, -1j * nu - w_b], dtype=complex)
-    g = np.array([_residue(device, k, of_g) for k in range(4)])
+    of_g = of_g if w_w else of_g[1:]
+    g = np.array([_residue(device, k, of_g) for k in range(len(of_g))])
     turn = np.array([[1.0, 1j], [-1j, 1.0]])
-    upper = (g[2] * turn + np.conj(g[3] * turn)) / 2.0
-    real = [np.real(g[k] * turn).astype(complex) for k in (0, 1)]
-    poles = np.array([of_g[0], of_g[1], of_g[2], of_g[2].conjugate()])
+    upper = (g[-2] * turn + np.conj(g[-1] * turn)) / 2.0
+    real = [np.real(residue * turn).astype(complex) for residue in g[:-2]]
+    poles = np.array([*of_g[:-2], of_g[-2], of_g[-2].conjugate()])
     residues = np.stack([*real, upper, upper.conj()])
-    ranks = np.array([2, 2, *[_rank(upper)] * 2])
+    ranks = np.array([*[2] * len(real), *[_rank(upper)] * 2])
     nothing = np.zeros((2, 2))
     return RationalModel(
         f1_hz=50.0,
@@ -184,10 +190,10 @@ def model_of(device: GridSideDamper) -> RationalModel:
         weighting="relative",
         nu_hz=np.array([nu / (2.0 * np.pi), 1e9]),
         weight=np.ones((2, 4)),
-        covariance_root=np.zeros((20, 1)),
+        covariance_root=np.zeros((5 * len(poles), 1)),
         rival=None,
         rival_share=0.0,
-        pole_std=np.zeros(4, dtype=complex),
+        pole_std=np.zeros(len(poles), dtype=complex),
     )
 
 
@@ -196,7 +202,8 @@ def _residue(device: GridSideDamper, k: int, poles: np.ndarray) -> complex:
     p, others = poles[k], np.delete(poles, k)
     nu, w_b = 1j * device.nu_rad_s, device.bandwidth_rad_s
     above = device.y_mode * (p + nu + w_b) + device.y_mirror * (p - nu + w_b)
-    return complex(p * w_b * above / device.lag_s / np.prod(p - others))
+    washed = p if device.washout_rad_s else 1.0
+    return complex(washed * w_b * above / device.lag_s / np.prod(p - others))
 
 
 def _rank(matrix: np.ndarray) -> int:

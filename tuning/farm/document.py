@@ -35,7 +35,7 @@ OTHERS = {
 }
 """What other files begin with, and what they are."""
 
-DAMPER_KEYS = ("name", "bus", "share", "size_s", "in_service")
+DAMPER_KEYS = ("name", "bus", "share", "size_s", "washout_hz", "in_service")
 DAMPING_KEYS = ("r_ohm", "x_ohm", "resonance_hz", "k_max")
 SOURCE_KEYS = ("name", "bus", "voltage_pu", "r_ohm", "x_ohm", "s_sc_mva", "r_over_x")
 DEVICE_KEYS = (
@@ -361,7 +361,10 @@ def _damper(entry: Mapping[str, Any], k: int, voltages: Mapping[str, float]) -> 
     if share > 10.0:
         raise FarmError(f"{name}: share = {share:g}; needed is a part of the farm's rating, such as 0.1")
     size = checked_number(entry["size_s"], f"{name}: size_s") if "size_s" in entry else None
-    return DamperEntry(name, _bus(entry, "bus", name, voltages), share, size)
+    washout = _number(entry, "washout_hz", 1.0, name, "0 for no washout, or some Hz")
+    if washout < 0.0:
+        raise FarmError(f"{name}: washout_hz = {washout:g}; needed is 0, which is none, or a number above")
+    return DamperEntry(name, _bus(entry, "bus", name, voltages), share, size, washout)
 
 
 def checked_number(value: Any, where: str) -> float:

@@ -79,12 +79,15 @@ class DamperEntry:
         Its rating as a share of the farm's; the limit of its current in time.
     size_s : float or None
         Length (S) of its pair of admittances at the mode; None: what damps the farm best.
+    washout_hz : float
+        What is slower in the dq frame it takes for the operating point; zero: it has no washout.
     """
 
     name: str
     bus: str
     share: float
     size_s: float | None
+    washout_hz: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
