@@ -5,8 +5,8 @@
 For every number of turbines, on a star (each behind its transformer on one bus) and on strings of four on cables, the
 medians over the rounds of the CPU time of one step, per turbine; each round measures the farm and the lane one after
 the other. `lane`: `run_phasors` of eight lanes behind R + jX, without damping control, which a farm's lane always has;
-`damped lane`: with it. Waveforms that are handed over cost beside it; they are left out on both sides. Last, the CPU time
-of a whole run with control, of which most is the search for resonances.
+`damped lane`: with it. Waveforms that are handed over cost beside it; they are left out on both sides. Last, the CPU
+time of a whole run with control, of which most is the search for resonances.
 """
 
 from __future__ import annotations
