@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from seqsweep.plant.protocol import Job, OperatingRange, Phasors, Rating, Record
 from seqsweep.plant.rl_branch import RLBranch
@@ -206,6 +205,8 @@ class Noisy:
         return (record.v, self.rating.peak_voltage_v), (record.i, self.rating.peak_current_a)
 
     def noise(self, rng, n):
+        from scipy.signal import lfilter  # takes longer than all else here: not for every process with such a plant
+
         white = rng.normal(size=(n + 2000, 2)) @ [1.0, 1j]
         colour = lfilter([np.sqrt(0.5 * (1.0 - self.pole**2))], [1.0, -self.pole], white)
         return self.level * colour[2000:]

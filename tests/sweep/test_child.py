@@ -22,54 +22,24 @@ from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
 from seqsweep.sweep.run.host import plant_or_card
 
 from ..support.commands import TOP, call, campaign, end_group, is_alive, start, wait_for
+from ..support.questions import (
+    dies,
+    kills_itself,
+    no_answer_that_can_be_sent,
+    pid_of,
+    prints,
+    r_ohm_of,
+    raises,
+    sleeps,
+    starts_a_grandchild,
+)
 
 BRANCH = PlantSpec("branch-v1", {"r_ohm": 0.2})
 
 
-# Questions: functions of a plant that a child can find by name
-
-
-def pid_of(plant):
-    return os.getpid()
-
-
-def r_ohm_of(plant):
-    return plant.r_ohm
-
-
-def raises(plant):
-    raise RuntimeError("no licence\nfor this host")
-
-
-def dies(plant, status):
-    print("segment 7 is on fire", flush=True)
-    os._exit(status)
-
-
-def kills_itself(plant, number):
-    os.kill(os.getpid(), number)
-
-
-def sleeps(plant):
-    time.sleep(3600.0)
-
-
-def starts_a_grandchild(plant):
-    return subprocess.Popen(["sleep", "600"]).pid
-
-
-def prints(plant, n_bytes):
-    os.write(1, b"x" * n_bytes)
-    return os.fstat(1).st_size
-
-
-def no_answer_that_can_be_sent(plant):
-    return lambda: None
-
-
 @pytest.fixture
 def found_by_name(monkeypatch):
-    """The functions above have to be importable in the child, too."""
+    """The questions have to be importable in the child, too."""
     monkeypatch.setenv("PYTHONPATH", str(TOP))
 
 
@@ -177,7 +147,7 @@ def test_a_killed_runner_takes_a_child_that_is_deep_in_itself_with_it(tmp_path, 
     code = (
         "import sys, pathlib; from seqsweep.plant.registry import PlantSpec\n"
         "from seqsweep.sweep.run.child import child\n"
-        "from tests.sweep.test_child import pid_of, sleeps\n"
+        "from tests.support.questions import pid_of, sleeps\n"
         "with child(PlantSpec('branch-v1')) as asked:\n"
         f"    pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(asked.ask(pid_of, 300.0, 'late')))\n"
         "    asked.ask(sleeps, 3600.0, 'late')\n"

@@ -256,11 +256,12 @@ def test_an_output_that_is_moved_during_the_run_costs_one_line(tmp_path):
 @LINUX
 def test_who_is_told_to_ignore_ctrl_c_is_still_ended_by_sigterm(tmp_path):
     """A shell's ``&`` starts commands so: Ctrl-C is not for them, and they do not take it."""
-    path, table = slow_campaign(tmp_path, rest_s=0.1), tmp_path / "y.parquet"
+    path, table = slow_campaign(tmp_path), tmp_path / "y.parquet"
     command = ["run", path, "-o", table, "--jobs", 1]
-    process = start(*command, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+    ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)}
+    process = start(*command, env=holding(table, 1), **ignoring)
     try:
-        wait_for(lambda: shards_of(table))
+        wait_for((tmp_path / "held").exists)
         process.send_signal(signal.SIGINT)
         time.sleep(0.5)
         assert process.poll() is None
