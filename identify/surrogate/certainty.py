@@ -4,8 +4,9 @@ Three things are added in squares, each relative to ||Y||:
 
 * what the sweeps themselves show. Left out, sweep j is missed by e_j at a leverage h_j / (1 - h_j); a point x with the
   leverage h(x) is therefore missed by about ``sqrt(mean(|e_j|^2 (1 - h_j) / h_j) h(x))``, the mean taken over the
-  sweeps and over neighbouring frequencies. To that comes what the model lacks at x itself, about as much as at the
-  sweeps: ``mean(|e_j|^2 (1 - h_j))``;
+  sweeps and over neighbouring frequencies. What the model lacks does not vanish with the leverage: at x itself it is
+  about as much as at the sweeps, ``mean(|e_j|^2 (1 - h_j))``. Each of the two would explain all of the sweeps' errors
+  alone, and their sum would count them twice: `_BY_LEVERAGE` and `_EVERYWHERE` are the shares that they are given;
 * the rows' own noise, where the table states it, carried to x by the same leverage; it replaces the first where it is
   larger, because a mean over few sweeps may be small by luck;
 * the spread of the rivals: models of other products that describe the sweeps nearly as well.
@@ -22,7 +23,17 @@ import numpy as np
 
 from .sparse_rational import ELEMENTS, Data, Fitted, Prediction, moving_mean
 
-_GROUPS = 4.0  # independent real numbers per free sweep: two, in about two independent groups of pooled frequencies
+_REAL = 2.0 * ELEMENTS  # real numbers of an error: four complex elements
+_FREE = 1.5
+"""Independent real numbers that a free sweep tells of the model's error: its elements and frequencies err together."""
+
+_BY_LEVERAGE, _EVERYWHERE = 0.25, 0.5
+"""Shares of the two laws of the error: 70 designs by lot held at 98.6 % with them, the least of them at 92 %.
+
+By leverage alone designs with few free sweeps held at 88 %, and with both in full almost all places of most designs did
+(99.4 % in the mean).
+"""
+
 _EXPLAINED, _LACKING = 1.5, 2.0
 """Multiples of the stated variance: errors below the first are noise, those from the second on are the model's."""
 
@@ -69,16 +80,16 @@ def certainty(fitted: Fitted, data: Data, noise: np.ndarray | None) -> Certainty
     h = np.clip(fitted.leverage, _LEAST_LEVERAGE, 1.0)
     squared = np.where(used, np.sum(np.abs(fitted.left_out) ** 2, axis=2) * (1.0 - h), 0.0)
     free = data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
-    unsure = _quantile(2.0, _GROUPS * max(free, 0.5))
-    missed = moving_mean((squared / h).sum(axis=1) / count)
+    unsure = _quantile(_REAL, _FREE * max(free, 0.5))
+    missed = _BY_LEVERAGE * moving_mean((squared / h).sum(axis=1) / count)
     found = np.maximum(moving_mean(squared.sum(axis=1) / count), 1e-300)
     if noise is None:
-        return Certainty(missed, found, np.full(len(missed), unsure))
+        return Certainty(missed, _EVERYWHERE * found, np.full(len(missed), unsure))
     stated = moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
     share = np.clip((_LACKING * stated - found) / np.maximum((_LACKING - _EXPLAINED) * stated, 1e-300), 0.0, 1.0)
     variance = np.maximum(stated, (1.0 - share) * missed + share * stated)
     factor = share * _quantile(ELEMENTS, 1e6) + (1.0 - share) * unsure
-    return Certainty(variance, (1.0 - share) * found, factor)
+    return Certainty(variance, _EVERYWHERE * (1.0 - share) * found, factor)
 
 
 def _quantile(numerator: float, denominator: float) -> float:

@@ -26,7 +26,7 @@ RIVALS = 5
 GUARD = 0.25
 """|d| over the region may not fall below this part of its least value at the sweeps: a pole would hide between them."""
 
-ENOUGH = 1e-10
+ENOUGH = 1e-13
 """Left-out error, relative to ||Y||, from which on the arithmetic is all that is left to fit: growing ends."""
 
 _PATIENCE = 6  # growth steps without gain until growing ends

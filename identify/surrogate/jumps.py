@@ -105,20 +105,22 @@ class Border(NamedTuple):
     def width(self, points: np.ndarray) -> float:
         """How well it is located over ``points``, in parts of a feature's range.
 
-        The widest gap of the first feature; or, where features still disagree, how far beyond both their borders.
+        The gap of the first feature; or, where features still disagree, how far apart their borders are.
         """
-        _, clear = self._disputed(points)
-        return max(self.cuts[0].width(points), clear)
+        _, apart = self._disputed(points)
+        return max(self.cuts[0].width(points), apart)
 
     def question(self, swept: np.ndarray, points: np.ndarray, width: float) -> np.ndarray:
         """The operating point (d,) to sweep next: where features disagree most, else in the middle of the gap."""
-        at, clear = self._disputed(points)
-        return points[at] if clear > width else self._middle(swept)
+        at, apart = self._disputed(points)
+        return points[at] if apart > width else self._middle(swept)
 
     def _disputed(self, points: np.ndarray) -> tuple[int, float]:
+        """Which of the points is farthest beyond one border and short of another, and the widest strip between two."""
         beyond = np.array([cut.beyond(points) for cut in self.cuts])
-        clear = np.minimum(beyond.max(axis=0), -beyond.min(axis=0))
-        return int(clear.argmax()), float(clear.max())
+        most, least = beyond.max(axis=0), beyond.min(axis=0)
+        strip = (most - least)[(most > 0.0) & (least < 0.0)]
+        return int(np.minimum(most, -least).argmax()), float(strip.max(initial=0.0))
 
     def _middle(self, swept: np.ndarray) -> np.ndarray:
         """Between the two swept points that bound the first feature's gap."""

@@ -13,7 +13,7 @@ from seqsweep.identify.surrogate.surrogate import AXES, Region, Surrogate, build
 from seqsweep.plant.turbine.parameters import TABLE_I, TurbineParameters
 
 from . import oracle
-from .regions import U_V
+from .regions import U_V, unseen
 
 F_HZ = 50.0 + np.logspace(0.0, np.log10(950.0), 16)
 
@@ -91,7 +91,7 @@ def placed(kind: str, region: Region, seed: int, most: int) -> Placed:
     """One random placement of a kind, found by a campaign of at most so many sweeps."""
     rule, at = drawn(kind, region, np.random.default_rng(seed))
     surrogate = explored(region, rule, seed, most)
-    return Placed(at, str(surrogate.border), len(surrogate.points), _wrong(surrogate, region, at))
+    return Placed(at, str(surrogate.border), len(surrogate.points), _wrong(surrogate, region, rule, at))
 
 
 def drawn(kind: str, region: Region, random: np.random.Generator) -> tuple[Rule, float | None]:
@@ -106,13 +106,18 @@ def drawn(kind: str, region: Region, random: np.random.Generator) -> tuple[Rule,
     return switched(axis, at), at
 
 
-def _wrong(surrogate: Surrogate, region: Region, at: float | None) -> str:
+def _wrong(surrogate: Surrogate, region: Region, rule: Rule, at: float | None) -> str:
+    """The border tells the right side at every point where it tells one, and leaves no wider gap than asked."""
     border = surrogate.border
     if at is None:
         return "" if border is None else f"a border that is none, {border}"
     if border is None:
         return "no border"
-    if not border.cuts[0].low <= at <= border.cuts[0].high:
-        return f"{at} is not in {border}"
     width = border.width(region.samples(512))
-    return "" if width <= WIDTH else f"{width} of the range"
+    if width > WIDTH:
+        return f"{width} of the range"
+    points = unseen(region, 2000, 1)
+    side, changed = border.side(points), np.array([rule(point) != TABLE_I for point in points])
+    told = side >= 0
+    wrong = min(np.sum(side[told] != changed[told]), np.sum(side[told] == changed[told]))
+    return f"{wrong} of 2000 points on the wrong side of {border}, it is at {at}" if wrong else ""
