@@ -26,6 +26,7 @@ NAMES = (
     "process",
     "recordings",
     "thousand",
+    "plan",
     "host",
 )
 NEEDS_DPSIM = {"dpsim_sweep"}

@@ -8,7 +8,7 @@ beside its stepping.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from math import ceil, isfinite
 from statistics import median
@@ -29,8 +29,11 @@ from .workers import Workers, together
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
 
-QUICK_S, LONGER = 0.05, 16
+QUICK_S, LONGER = 0.01, 64
 """A call that takes no more is made again, so many times as long: what a call costs besides its blocks is taken off."""
+
+CALLS = 3
+"""Calls of a signal: until it has settled, and two periods."""
 
 WHOLE = 1e-6
 """Part of a window by which a time may be more than whole windows."""
@@ -38,14 +41,14 @@ WHOLE = 1e-6
 PATIENCE_S = 4.0
 """A batch that promises to take longer is not tried."""
 
-START_S = 0.5
-"""Starting the command and its workers, and opening the table."""
+START_S = 0.45
+"""Starting the command and its workers."""
 
 START_PROCESSES_S = 1.4
 """The same where workers are processes."""
 
-ROW_S = 1e-4
-"""Keeping a row and writing it."""
+TABLE_S, ROW_S = 0.05, 1e-4
+"""Opening and closing the table; keeping a row and writing it."""
 
 TURNS = 0.1
 """What each further thread costs: it waits for its turn in Python."""
@@ -60,14 +63,17 @@ class Cost(NamedTuple):
         Time (s) of a block of one run.
     lanes : int
         Shots that share a run.
+    round_s : float
+        Time (s) that each further round of a batch takes, however many shots are left.
     beside_s : float
-        Time (s) that a batch takes beside stepping its shots: settling, judging, solving.
+        Time (s) that a batch takes beside that: settling, judging, solving.
     rest_s : mapping of float to float
         Simulated time (s) after which the shots of a point repeat, by its frequency (Hz), as far as tried.
     """
 
     block_s: float
     lanes: int
+    round_s: float
     beside_s: float
     rest_s: Mapping[float, float]
 
@@ -93,7 +99,8 @@ def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     all_s = sum(work_s) / n_together * len(plan.conditions)
     shared_s = all_s / jobs * (1.0 + TURNS * (jobs - 1) * threads)
     start_s = START_S if threads else START_PROCESSES_S
-    return start_s + ROW_S * len(plan.points) * len(plan.conditions) + max(max(work_s), shared_s)
+    table_s = TABLE_S + ROW_S * len(plan.points) * len(plan.conditions)
+    return start_s + table_s + max(max(work_s), shared_s)
 
 
 def _work_s(plan: Plan, batch: Batch, cost: Cost, n_together: int) -> float:
@@ -104,7 +111,12 @@ def _work_s(plan: Plan, batch: Batch, cost: Cost, n_together: int) -> float:
     blocks_of = _blocks(batch, cost.rest_s)
     if cost.lanes == 1:
         return cost.block_s * sum(blocks_of) + cost.beside_s
-    return cost.block_s * RUN_BLOCKS * _runs(blocks_of, cost.lanes, n_together) / n_together + cost.beside_s
+    runs = RUN_BLOCKS * _runs(blocks_of, cost.lanes, n_together) / n_together
+    return cost.block_s * runs + cost.round_s * _rounds(blocks_of) / n_together + cost.beside_s
+
+
+def _rounds(blocks_of: Sequence[int]) -> int:
+    return ceil(max(blocks_of) / RUN_BLOCKS)
 
 
 def _blocks(batch: Batch, rest_s: Mapping[float, float]) -> list[int]:
@@ -145,16 +157,32 @@ def _found(plan: Plan, plant: Plant) -> Cost:
     state = plant.settle(point, source)
     settled_s = time.perf_counter() - begin
     lanes = PROBE_JOBS if isinstance(plant, PhasorPlant) and plan.signal is None else 1
-    block_s = _block_s(plan, plant, state) if plan.signal is None else _cost_of_plays(plan, plant, state)
-    untried = Cost(block_s, lanes, settled_s, {})
-    *_, last = (plan.batch(plan.conditions[0], group) for group in plan.groups())
-    if plan.signal is not None or _work_s(plan, last, untried, 1) > PATIENCE_S:
-        return untried
-    return _tried(plan, plant, last, untried)
+    block_s, call_s = (_block_s(plan, plant, state), 0.0) if plan.signal is None else _of_plays(plan, plant, state)
+    untried = Cost(block_s, lanes, 0.0, settled_s + CALLS * call_s, {})
+    of_first = [plan.batch(plan.conditions[0], group) for group in plan.groups()]
+    asked = list({batch.key: batch for batch in (of_first[-1], of_first[0])}.values())
+    for n in (len(asked), 1):
+        if sum(_work_s(plan, batch, untried, 1) for batch in asked[:n]) <= PATIENCE_S:
+            return _tried(plan, plant, asked[:n], untried)
+    return untried
 
 
-def _tried(plan: Plan, plant: Plant, batch: Batch, untried: Cost) -> Cost:
-    """The cost after a batch was measured; once more where it is quick: the first time is for warmth."""
+def _tried(plan: Plan, plant: Plant, batches: Sequence[Batch], untried: Cost) -> Cost:
+    """The cost after one or two batches were measured: what each took beside stepping grows with its rounds."""
+    taken = [_taken(plant, batch) for batch in batches]
+    if plan.signal is not None:
+        return untried._replace(block_s=0.0, beside_s=taken[0][0])
+    rest_s = {f_hz: s for (_, rows), batch in zip(taken, batches, strict=True) for f_hz, s in _rest_s(rows, batch)}
+    known = untried._replace(beside_s=0.0, rest_s=rest_s)
+    beside_s = [of_batch - _work_s(plan, batch, known, 1) for (of_batch, _), batch in zip(taken, batches, strict=True)]
+    rounds = [_rounds(_blocks(batch, rest_s)) for batch in batches]
+    steeper = (beside_s[-1] - beside_s[0]) / (rounds[-1] - rounds[0]) if rounds[-1] > rounds[0] else 0.0
+    round_s = max(0.0, steeper) if known.lanes > 1 else 0.0
+    return known._replace(round_s=round_s, beside_s=max(0.0, beside_s[0] - round_s * rounds[0]))
+
+
+def _taken(plant: Plant, batch: Batch) -> tuple[float, Sequence[Row]]:
+    """Time (s) of a batch, and its rows; where it is quick it is measured again, for the first time is for warmth."""
     taken_s = float("inf")
     for _ in range(2):
         begin = time.perf_counter()
@@ -162,16 +190,15 @@ def _tried(plan: Plan, plant: Plant, batch: Batch, untried: Cost) -> Cost:
         taken_s = min(taken_s, time.perf_counter() - begin)
         if taken_s > 0.1 * PATIENCE_S:
             break
-    known = untried._replace(beside_s=0.0, rest_s=_rest_s(rows, batch))
-    return known._replace(beside_s=max(0.0, taken_s - _work_s(plan, batch, known, 1)))
+    return taken_s, rows
 
 
-def _rest_s(rows: Sequence[Row], batch: Batch) -> dict[float, float]:
+def _rest_s(rows: Sequence[Row], batch: Batch) -> Iterator[tuple[float, float]]:
     """Simulated time (s) before the last two windows of every point that came to rest, by its frequency (Hz)."""
     windows_s = {point.f_hz: point.window_blocks * batch.block.duration_s for point in batch.points}
-    return {
-        row.f_hz: max(0.0, row.disturbed_s - 2.0 * windows_s[row.f_hz]) for row in rows if isfinite(row.disturbed_s)
-    }
+    for row in rows:
+        if isfinite(row.disturbed_s):
+            yield row.f_hz, max(0.0, row.disturbed_s - 2.0 * windows_s[row.f_hz])
 
 
 def _block_s(plan: Plan, plant: Plant, state: Any) -> float:
@@ -187,10 +214,12 @@ def _block_s(plan: Plan, plant: Plant, state: Any) -> float:
     return _slope_s(drive, PROBE_BLOCKS)
 
 
-def _cost_of_plays(plan: Plan, plant: Plant, state: Any) -> float:
-    """Seconds for one block of the four plays together: their many tones cost more than the device."""
+def _of_plays(plan: Plan, plant: Plant, state: Any) -> tuple[float, float]:
+    """Seconds for one block of the four plays together, whose many tones cost more than the device, and for a call."""
     jobs = [Job(state, play.injection(0.0)) for play in plan.plays_of(plan.conditions[0])]
-    return _slope_s(lambda n_blocks: plant.run(jobs, n_blocks * plan.block.steps), 1)
+    once_s, longer_s = (_least_s(partial(plant.run, jobs, n * plan.block.steps)) for n in (1, 1 + PROBE_BLOCKS))
+    block_s = max(longer_s - once_s, 0.0) / PROBE_BLOCKS
+    return block_s, max(once_s - block_s, 0.0)
 
 
 def _slope_s(drive: Callable[[int], object], n_blocks: int) -> float:
