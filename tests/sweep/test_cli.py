@@ -312,8 +312,7 @@ def test_a_request_to_end_is_ctrl_c(tmp_path):
 def test_ctrl_c_ends_soon_and_the_same_command_goes_on(tmp_path, backend):
     plant = "python:plants:SlowBranch" if backend == "threading" else "python:plants:SlowPythonBranch"
     path, table, fresh = slow_campaign(tmp_path, plant=plant), tmp_path / "y.parquet", tmp_path / "fresh.parquet"
-    here = ["--set", "plant.isolate=false"] if backend == "loky" else []
-    process = start("run", path, "-o", table, "--jobs", 2, *here, env=holding(table, 2))
+    process = start("run", path, "-o", table, "--jobs", 2, env=holding(table, 2))
     try:
         wait_for((tmp_path / "held").exists)
         begin = time.perf_counter()
@@ -329,10 +328,10 @@ def test_ctrl_c_ends_soon_and_the_same_command_goes_on(tmp_path, backend):
         wait_for(lambda: not group_members(process.pid), 120.0)  # no worker is left behind
     finally:
         end_group(process)
-    again = command("run", path, "-o", table, "--jobs", 2, "--backend", "threading", *here)
+    again = command("run", path, "-o", table, "--jobs", 2)
     assert again.returncode == OK
     assert re.search(r"^going on: (\d+)/96 points are measured already, (\d+) left$", again.stderr, re.MULTILINE)
-    undisturbed = command("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading", *here)
+    undisturbed = command("run", path, "-o", fresh, "--jobs", 1, "--backend", "threading")
     assert undisturbed.returncode == OK
     assert "going on" not in undisturbed.stderr
     assert table.read_bytes() == fresh.read_bytes()
