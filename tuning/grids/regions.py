@@ -130,14 +130,14 @@ def _numbers(entry: Mapping[str, Any], key: str, n: int) -> list[float]:
     """A list of ``n`` numbers under a key."""
     value = entry[key]
     if not isinstance(value, list) or len(value) != n or not all(_is_number(each) for each in value):
-        raise ValueError(f"{key} = {value!r}: needed are {n} numbers")
+        raise GridError(f"{key} = {value!r}: needed are {n} numbers")
     return [float(each) for each in value]
 
 
 def _pair(point: Any) -> tuple[float, float]:
     """R and X of a corner."""
     if not isinstance(point, list) or len(point) != 2 or not all(_is_number(each) for each in point):
-        raise ValueError(f"points: {point!r} is no corner, which has two numbers, R and X")
+        raise GridError(f"points: {point!r} is no corner, which has two numbers, R and X")
     return float(point[0]), float(point[1])
 
 
