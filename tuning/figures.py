@@ -29,6 +29,7 @@ from ..identify.views.style import (
     write_figure,
 )
 from ..plant.errors import SeqsweepError
+from .damping_lines import draw_damping
 from .intervals import relative_error_of_y1
 from .result import PointTuning, TuningResult, mode_with_k
 from .siso import Grid, impedance_dq, siso
@@ -420,7 +421,8 @@ def _draw_poles(axes: Axes, entries: Sequence[_Drawn], n_all: int) -> None:
     left, right = _pole_range(entries, highest)
     axes.set_xlim(left, right)
     axes.set_ylim(-0.05 * lowest, 1.1 * highest)
-    _draw_damping(axes, lowest, highest)
+    poles = np.concatenate([_shown_poles(entry) for entry in entries])
+    draw_damping(axes, poles, lowest, highest)
     axes.axvline(0.0, color="k", linewidth=0.8)
     axes.axvspan(0.0, right, color=WARNING, alpha=0.06, linewidth=0.0)
     axes.axhspan(-0.05 * lowest, lowest, color="0.5", alpha=0.08, linewidth=0.0)
@@ -436,6 +438,13 @@ def _draw_poles(axes: Axes, entries: Sequence[_Drawn], n_all: int) -> None:
     axes.set_ylabel(r"$|f - f_1|$ (Hz)")
     shown = "" if len(entries) == n_all else f" ({len(entries)} of {n_all} entries)"
     axes.set_title(f"Closed-loop poles, 95 % intervals{shown}", fontsize=8.5)
+
+
+def _shown_poles(entry: _Drawn) -> np.ndarray:
+    """Real part (rad/s) and abs(f - f1) (Hz) of the poles (n, 2) of an entry."""
+    assert entry.point.stability is not None
+    loop = entry.point.stability.closed_loop
+    return np.column_stack([loop.poles.real, loop.f_hz])[~loop.beyond]
 
 
 def _draw_entry(axes: Axes, entry: _Drawn, colour: str) -> None:
@@ -486,18 +495,3 @@ def _pole_range(entries: Sequence[_Drawn], highest_hz: float) -> tuple[float, fl
     ]
     real = np.concatenate([*reals, [-10.0]])
     return float(max(real.min() * 2.0, -2.0 * np.pi * highest_hz * 2.0)), float(max(10.0, 2.5 * real.max()))
-
-
-def _draw_damping(axes: Axes, lowest_hz: float, highest_hz: float) -> None:
-    """Lines of equal damping ratio, named where they leave at the top."""
-    nu = np.geomspace(lowest_hz, highest_hz, 100)
-    for damping in (0.01, 0.05, 0.2, 0.7):
-        real = -2.0 * np.pi * nu * damping / np.sqrt(1.0 - damping**2)
-        axes.plot(real, nu, color="0.75", linewidth=0.6, zorder=0)
-        inside = np.flatnonzero(real >= 0.55 * axes.get_xlim()[0])
-        k = inside[-1]
-        axes.annotate(
-            f"{100.0 * damping:g} %", (real[k], nu[k]), xytext=(0, -2), textcoords="offset points", fontsize=7,
-            color=QUIET, ha="center", va="top", clip_on=True,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.8},
-        )  # fmt: skip

@@ -82,7 +82,7 @@ def _row(point: PointTuning, result: TuningResult) -> dict[str, str]:
         "P stable": _probability(point.probability),
         "m": with_doubt(point.margin_m, point.margin_interval),
         f"m >= {result.margin_required:g}": _met(point.margin_m, result.margin_required),
-        "resonance Hz": "-" if pair is None else f"{pair[0]:.2f}/{pair[1]:.2f}",
+        "resonance Hz": "-" if pair is None else _pair_text(*pair),
         "damping": "-" if damping is None else f"{damping:.1f} %",
         "Z crit": _edges(point),
         "SCR crit": _number(point.critical_scr, ".3f"),
@@ -91,6 +91,12 @@ def _row(point: PointTuning, result: TuningResult) -> dict[str, str]:
         "m with k": _number(point.margin_m_with_k, ".3f") if point.reached is not None else "",
         "with k": "" if point.with_k is None else point.with_k.verdict,
     }
+
+
+def _pair_text(below_hz: float, above_hz: float) -> str:
+    """Both components of a mode; one that rounds to zero has no sign."""
+    below = f"{below_hz:.2f}"
+    return f"{'0.00' if below == '-0.00' else below}/{above_hz:.2f}"
 
 
 def _edges(point: PointTuning) -> str:

@@ -110,6 +110,7 @@ def layout_of_lines(path: Path, lines: Sequence[str], encoding: str = "utf-8", f
     delimiter, rows = _separated(path, lines, fewest)
     kinds = kinds_of(rows)
     first = _first_of_numbers(lines, delimiter, kinds)
+    _refuse_two_commas(path, lines[:first], delimiter, rows)
     heads = _headings(lines[:first], delimiter, kinds)
     cells = [cell for row in rows for cell in row]
     thousands = next(filter(None, map(thousands_sign, cells)), "") if "clock" not in kinds else ""
@@ -126,6 +127,21 @@ def layout_of_lines(path: Path, lines: Sequence[str], encoding: str = "utf-8", f
         mending,
         (*notes, *heads.notes),
     )
+
+
+_NO_POINT = re.compile(r"[+-]?\d+([eEdD][+-]?\d+)?")
+
+
+def _refuse_two_commas(path: Path, above: Sequence[str], delimiter: str, rows: Sequence[Sequence[str]]) -> None:
+    """Refuse decimal commas between cells that commas separate, told by whole numbers for about twice the headings."""
+    named = [cells for cells in (split(line, delimiter) for line in above if line.strip()) if not _n_numbers(cells)]
+    n, width = len(named[-1]) if named else 0, len(rows[0])
+    halved = n >= 3 and 1.5 * n <= width <= 2 * n
+    if delimiter == "," and halved and all(_NO_POINT.fullmatch(cell.strip()) for row in rows for cell in row):
+        raise LayoutError(
+            f"{path}: the heading names {n} columns, and a row has {width} whole numbers between commas: decimal "
+            "commas, with commas between the cells, too? Put semicolons or tabs between them, or write decimal points"
+        )
 
 
 # Numbers

@@ -45,7 +45,8 @@ def summary(verdicts: Sequence[PairVerdict], f1_hz: float) -> str:
     stable = sum(count == len(verdicts) // len(stable_on) for count in stable_on.values())
     counts = ", ".join(f"{kinds[name]} {name}" for name in ("unstable", "undecided", "not readable") if kinds[name])
     at = "" if len(points) == 1 else f" at all {len(points)} operating points"
-    text = f"Stable on {stable} of {len(stable_on)} grids{at}, each with a probability of {DECIDED:.0%} or more"
+    how_sure = f", each with a probability of {DECIDED:.0%} or more" if stable else ""
+    text = f"Stable on {stable} of {len(stable_on)} grids{at}{how_sure}"
     text += f"; of {len(verdicts)} pairs {counts}." if counts else "."
     weakest = next((v for v in verdicts if v.status == "ok" and v.re_rad_s is not None), None)
     if weakest is None:

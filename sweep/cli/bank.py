@@ -13,7 +13,7 @@ import typer
 
 from .anywhere import Asked, Parameter, Power, SourceVoltage, is_surrogate, model_of, powers_of
 from .shared import NOT_ALL_OK, Elements, Force, StableOn, TableFile, check_outputs
-from .telling import columns, remark, result
+from .telling import columns, remark, results
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -95,7 +95,7 @@ def tell_pairs(
     from ..bank.report import report_text
     from ..bank.table import row_of
 
-    result(lambda: report_text(verdicts, f1_hz, columns()), lambda: [row_of(verdict, f1_hz) for verdict in verdicts])
+    results(lambda: report_text(verdicts, f1_hz, columns()), lambda: (row_of(verdict, f1_hz) for verdict in verdicts))
     if output is not None:
         from ..bank.table import write_judge
         from ..run import shards

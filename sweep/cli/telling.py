@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import inspect
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -19,7 +19,7 @@ import typer
 
 from .say import columns, say, tell
 
-__all__ = ["columns", "is_json", "is_quiet", "plain", "remark", "result", "script", "speaking"]
+__all__ = ["columns", "is_json", "is_quiet", "plain", "remark", "result", "results", "script", "speaking"]
 
 LONG_S = 1.0
 """A command that took longer says how long."""
@@ -55,6 +55,21 @@ def result(text: str | Callable[[], str], values: Callable[[], Any]) -> None:
         typer.echo(json.dumps(plain(values()), indent=1, allow_nan=False))
     else:
         say(text if isinstance(text, str) else text())
+
+
+def results(text: Callable[[], str], rows: Callable[[], Iterable[Any]]) -> None:
+    """As `result`, of a list that may be long: its JSON is written row by row, and never held as a whole."""
+    if not _MANNER.get().as_json:
+        say(text())
+        return
+    import json
+
+    empty = True
+    for row in rows():
+        shown = json.dumps(plain(row), indent=1, allow_nan=False).replace("\n", "\n ")
+        typer.echo(("[\n " if empty else ",\n ") + shown, nl=False)
+        empty = False
+    typer.echo("[]" if empty else "\n]")
 
 
 def script(text: str, values: Callable[[], Any]) -> None:

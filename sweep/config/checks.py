@@ -322,8 +322,8 @@ def _increasing(f_hz: Any) -> Iterator[Problem]:
     if f_hz in ([], ()):
         yield Problem(("sweep", "f_hz"), f"given []; needed: {_needed(('sweep', 'f_hz'))}")
     for index, (before, here) in enumerate(pairwise(numbers), start=1):
-        if before is None or here is None or before < here:
-            continue
+        if before is None or here is None or before < here or here <= 0.0:
+            continue  # of one that is not above 0 that is said, and no more
         what = f"{here:.15g} Hz is there twice" if before == here else f"{here:.15g} Hz follows {before:.15g} Hz"
         yield Problem(("sweep", "f_hz", index), f"{what}; needed: frequencies that increase, each once, in Hz")
 

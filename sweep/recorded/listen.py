@@ -40,6 +40,9 @@ CLOCK_CYCLES = 0.01
 MOST_SHOWN = 200
 """Tones that a line of output lists."""
 
+F1_TOLD, F1_TOLD_HZ = 0.05, 2.0
+"""A told fundamental farther than both (part of it, Hz) from the strongest line of the voltage is not in the record."""
+
 NOMINAL_HZ = (50.0, 60.0, 400.0, 50.0 / 3.0)
 NEAR_NOMINAL = 0.04
 """A fundamental farther than this from every nominal one means a wrong sampling rate, most likely."""
@@ -155,6 +158,7 @@ def listen(task: Task) -> Listened:
             sample_rate_hz=task.sample_rate_hz,
             units=task.units,
         )
+        _check_f1(waveforms, task.f1_hz)
         told = task.experiment
         stretches, unused = (_as_told(task, told, waveforms), []) if told else _found(waveforms)
         result = _experiments(task, waveforms, stretches) if stretches else _broadband(waveforms)
@@ -163,6 +167,18 @@ def listen(task: Task) -> Listened:
         return Listened(name, refusal=_bare(error, task.path))
     except MemoryError:
         return Listened(name, refusal="does not fit into memory: cut it into several files")
+
+
+def _check_f1(waveforms: Waveforms, f1_hz: float | None) -> None:
+    """Refuse a fundamental that was told and is not in the record: every number would be of noise."""
+    if f1_hz is None:
+        return
+    found = fundamental(waveforms, 0, waveforms.n_samples)
+    if abs(found - f1_hz) > max(F1_TOLD * f1_hz, F1_TOLD_HZ):
+        raise HearingError(
+            f"the fundamental is said to be {f1_hz:g} Hz, and the strongest line of the voltage is at {found:.4g} Hz: "
+            "leave --f1 out, or say the sampling rate (--sample-rate)"
+        )
 
 
 def _bare(error: Exception, path: Path) -> str:

@@ -57,6 +57,19 @@ def test_bands_of_one_operating_point_stand_end_to_end(tmp_path):
     assert validate_table(tmp_path / "m.parquet") == []
 
 
+def test_a_measured_fundamental_is_the_nominal_one_up_to_a_part_in_ten_thousand(tmp_path):
+    """Two recordings of one device never find the same f1 to the last digit; the merged table has one for all rows."""
+    a = table(tmp_path / "a.parquet", [10, 20])
+    b = table(tmp_path / "b.parquet", [10, 30], "q", 0.2, f1_hz=50.0000001)
+    responses, meta = join(a, b)
+    assert meta["f1_hz"] == 50.0
+    assert [response.f1_hz for response in responses] == [50.0, 50.0]
+    write_table(tmp_path / "m.parquet", responses, meta)
+    assert read_table(tmp_path / "m.parquet").response("q").f_hz.tolist() == [10.0, 30.0]
+    with pytest.raises(MergeError, match="f1_hz is 50"):
+        join(a, table(tmp_path / "c.parquet", [10, 30], "q", 0.2, f1_hz=50.01))
+
+
 def test_the_proof_of_stability_that_says_most_is_kept(tmp_path):
     a, b = table(tmp_path / "a.parquet", [10, 20]), table(tmp_path / "b.parquet", [30, 40])
 

@@ -170,6 +170,11 @@ def test_what_is_no_table_is_told_by_its_cause(tmp_path):
     refused(written(tmp_path / "c.csv", [], "# nothing"), "holds comments only")
 
 
+def test_decimal_commas_between_commas_are_told_and_not_read_as_whole_numbers(tmp_path):
+    rows = [line.replace(".", ",") for line in lines()]
+    refused(written(tmp_path / "a.csv", rows, "t,Va,Vb,Vc,Ia,Ib,Ic"), "decimal commas, with commas between the cells")
+
+
 def test_a_written_name_is_taken_as_it_is_written(tmp_path):
     heads = [f"{name}_{'V' if name[0] == 'V' else 'A'}" for name in files.NAMES]
     path = written(tmp_path / "a.csv", lines(), ",".join(["t", *heads]))

@@ -317,6 +317,12 @@ ADDED: list[tuple[str, str, str, str]] = [
         r"^13: sweep.f_hz: given 5; needed: a list of increasing",
     ),
     ("zero", F_LIST.replace("[1,", "[0,"), "", r"^13: sweep.f_hz.0: given 0; needed: .*above 0, in Hz"),
+    (
+        "negative",
+        F_LIST.replace("[1, 2.5,", "[1, -2.5,"),
+        "",
+        r"^13: sweep.f_hz.1: given -2.5; needed: .*above 0, in Hz",
+    ),
     ("text", F_LIST.replace("[1,", '["1",'), "", r'^13: sweep.f_hz.0: given "1"; needed'),
     ("unsorted", F_LIST.replace("[1,", "[3,"), "", r"^13: sweep.f_hz.1: 2.5 Hz follows 3 Hz; needed: .*increase"),
     ("twice", F_LIST.replace("[1,", "[2.5,"), "", r"^13: sweep.f_hz.1: 2.5 Hz is there twice; needed"),

@@ -231,6 +231,7 @@ def test_recordings_cannot_be_confirmed_and_are_refused_by_name(tmp_path):
         ([], "in which direction was the current recorded"),
         (["--direction", "up"], "--direction 'up': it is load"),
         (["--direction", "load", "--f1", "fast"], "--f1 'fast': it is auto, or a frequency"),
+        (["--direction", "load", "--f1", "60"], "said to be 60 Hz, and the strongest line of the voltage is at 49.97"),
         (["--direction", "load", "--channels", "vx=Va"], "is not ROLE=NAME"),
         (["--direction", "load", "--channels", "va=None"], "no channel is called 'None'"),
         (["--direction", "load", "--manifest", "none.json"], "none.json: no such file"),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from ...plant.errors import SeqsweepError
@@ -20,6 +21,15 @@ class GridError(SeqsweepError):
 
 class NotAGrid(GridError):
     """A sound file of another kind: a folder of grids may hold it, a call that names it is wrong."""
+
+
+@contextmanager
+def naming(place: str) -> Iterator[None]:
+    """Put the name of a file before what is refused of it, where it does not stand there yet."""
+    try:
+        yield
+    except GridError as error:
+        raise error if str(error).startswith(place) else GridError(f"{place}: {error}") from None
 
 
 def check_in_service(entry: Mapping[str, Any], name: str, error: type[SeqsweepError] = GridError) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,9 @@ GRID_SUFFIXES = (".toml", ".parquet", ".csv", ".txt", ".dat", ".tsv", ".asc", ".
 """Suffixes of files that hold a grid."""
 
 
+_FILE_LIKE = re.compile(r"\.[a-zA-Z]{2}\w*$|[/\\]")  # a name with a suffix, or within a folder
+
+
 def open_grid(text: str, f1_hz: float, scale: float = 1.0) -> Grid:
     """The grid of ``0.012+0.25j`` (ohm at f1), or of a file, multiplied by ``scale``.
 
@@ -45,6 +49,8 @@ def open_grid(text: str, f1_hz: float, scale: float = 1.0) -> Grid:
     """
     check_scale(scale)
     if not is_file(text):
+        if _FILE_LIKE.search(text):
+            raise GridError(f"{text}: no such file; a grid is a file, or R+jX in ohm at f1, such as 0.012+0.25j")
         return parse_series(text, f1_hz, scale)
     grid = open_file(text, f1_hz)
     if isinstance(grid, RegionGrid):
@@ -72,7 +78,7 @@ def open_file(text: str, f1_hz: float) -> Grid | RegionGrid:
         return grid_of_document(read_document(path), f1_hz, path.stem, str(path))
     if path.suffix.lower() == ".parquet":
         return response_grid(path, op_id or None, f1_hz)
-    return table_grid(path, f1_hz)
+    return table_grid(path, f1_hz, op_id or None)
 
 
 def source_voltage_of(text: str) -> float | None:

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...plant.errors import place_of
 from .columns import Heading, frequency_of, heading_of, impedance_of
-from .errors import GridError, refuse_other_format
+from .errors import GridError, naming, refuse_other_format
 from .passivity import checked_passive
 from .rational import RationalGrid
 from .scalar_fit import MIN_ROWS, fit_impedance
@@ -46,8 +47,8 @@ class ZTable(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def table_grid(path: str | Path, f1_hz: float) -> RationalGrid:
-    """The grid of a file with a table of Z(f).
+def table_grid(path: str | Path, f1_hz: float, op_id: str | None = None) -> RationalGrid:
+    """The grid of a file with a table of Z(f); ``op_id`` says which of several that `seqsweep grid` measured.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def table_grid(path: str | Path, f1_hz: float) -> RationalGrid:
         If the file holds no such table, or no rational function describes it, or it is not passive.
     """
     path = Path(path)
-    table = read_table_of_z(path, f1_hz)
+    table = read_table_of_z(path, f1_hz, op_id)
     return grid_of_table(table, f1_hz, path.name)
 
 
@@ -72,7 +73,7 @@ def grid_of_table(table: ZTable, f1_hz: float, name: str) -> RationalGrid:
     return checked_passive(grid, table.f_hz, table.z, table.std, table.notes)
 
 
-def read_table_of_z(path: Path, f1_hz: float) -> ZTable:
+def read_table_of_z(path: Path, f1_hz: float, op_id: str | None = None) -> ZTable:
     """Read a file by its suffix.
 
     Raises
@@ -88,7 +89,7 @@ def read_table_of_z(path: Path, f1_hz: float) -> ZTable:
     if suffix == ".mat":
         return _of_mat(path, f1_hz)
     if suffix == ".json":
-        return _of_probe(path)
+        return _of_probe(path, op_id)
     if suffix.startswith(".s") and suffix.endswith("p") and suffix[2:-1].isdigit():
         return _of_touchstone(path)
     known = ", ".join((*TEXT_SUFFIXES, ".s1p", ".mat", ".json", ".toml", ".parquet"))
@@ -144,8 +145,9 @@ def _of_columns(
         raise GridError(
             f"{place}: {len(at)} columns of frequencies; needed is one, named f, frequency or harmonic order"
         )
-    f_hz = frequency_of(headings[at[0]], columns[at[0]].real, f1_hz)
-    z, note = impedance_of(headings, columns, place)
+    with naming(place):
+        f_hz = frequency_of(headings[at[0]], columns[at[0]].real, f1_hz)
+        z, note = impedance_of(headings, columns, place)
     stds = [k for k, heading in enumerate(headings) if heading.what == "std" and heading.sequence in ("", "positive")]
     std = columns[stds[0]].real if stds else None
     return ZTable(f_hz, z, std, (*notes, *([note] if note else [])))
@@ -166,7 +168,10 @@ def _of_touchstone(path: Path) -> ZTable:
             warnings.simplefilter("ignore")
             network = skrf.Network(stream)
     except Exception as error:  # it raises whatever its parser met
-        raise GridError(f"{path}: scikit-rf cannot read it: {str(error)[:200]}") from None
+        raise GridError(
+            f"{path}: no Touchstone file of one port, which has three numbers a row: the frequency and two of S11 "
+            f"(scikit-rf: {str(error)[:200]})"
+        ) from None
     if network.nports != 1:
         raise GridError(
             f"{path} has {network.nports} ports; a grid seen from the PCC has one. Close the other ports, or give the "
@@ -200,22 +205,26 @@ def format_of_json(path: Path) -> Any:
     return content.get("format") if isinstance(content, Mapping) else None
 
 
-def _of_probe(path: Path) -> ZTable:
-    """The lines that `seqsweep grid -o` wrote, of the first operating point that has them."""
+def _of_probe(path: Path, op_id: str | None) -> ZTable:
+    """The lines that `seqsweep grid -o` wrote, of the operating point, or of the first that has them."""
     refuse_other_format(format_of_json(path), str(path))
     try:
         content: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
-        points = [p for p in content["operating_points"] if p.get("lines")]
-        lines = points[0]["lines"]
+        points = {str(p.get("op_id")): p["lines"] for p in content["operating_points"] if p.get("lines")}
+        chosen = next(iter(points)) if op_id is None else op_id
+        place_of(chosen, list(points), str(path), GridError)
+        lines = points[chosen]
         f, r, x, std = (
             np.array([line[key] for line in lines], dtype=float) for key in ("f_hz", "r_ohm", "x_ohm", "z_std_ohm")
         )
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError):
+    except GridError:
+        raise
+    except (ValueError, KeyError, StopIteration, TypeError, AttributeError):
         raise GridError(f"{path}: not what `seqsweep grid -o` writes: no lines of an operating point") from None
     z = np.where(f < 0.0, r - 1j * x, r + 1j * x)  # z(-f) is the conjugate of z(f)
-    note = f"lines of operating point {points[0].get('op_id')}"
+    note = f"{path.name} holds the grids of {', '.join(points)}: taken was {chosen}; {path.name}#ID takes another"
     f, z, std = _merged(np.abs(f), z, std)
-    return ZTable(f, z, std, (note,))
+    return ZTable(f, z, std, (note,) if op_id is None and len(points) > 1 else ())
 
 
 def _merged(f: np.ndarray, z: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -255,9 +264,11 @@ def _ordered(table: ZTable, name: str) -> ZTable:
     if len(again):
         notes = (*notes, _twice(len(again)))
     if (lost := int(np.sum(~good))) > 0:
-        notes = (*notes, f"{lost} rows without a finite impedance or at zero frequency were left out")
+        rows = "one row" if lost == 1 else f"{lost} rows"
+        notes = (*notes, f"left out: {rows} without a finite impedance, or not above 0 Hz")
     if len(once) < MIN_ROWS:
-        raise GridError(f"{name}: {len(once)} usable rows; a table of Z(f) needs at least {MIN_ROWS}")
+        rows = "one usable row" if len(once) == 1 else f"{len(once)} usable rows"
+        raise GridError(f"{name}: {rows}; a table of Z(f) needs at least {MIN_ROWS}")
     return ZTable(f[once], z[once], None if std is None else std[once], notes)
 
 

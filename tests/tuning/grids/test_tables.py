@@ -185,6 +185,44 @@ def test_rows_that_are_there_twice_count_once_and_contradictions_are_refused(tmp
         table_grid(tmp_path / "twice.csv", 50.0)
 
 
+def test_of_several_measured_grids_one_is_named_or_the_first_is_taken_and_that_is_said(tmp_path: Path) -> None:
+    points = []
+    for name, scale in (("near", 1.0), ("far", 2.0)):
+        entries = [
+            {"f_hz": f, "r_ohm": scale * x.real, "x_ohm": scale * x.imag, "z_std_ohm": 1e-6 * abs(x)}
+            for f, x in zip(F, Z, strict=True)
+        ]
+        points.append({"op_id": name, "lines": entries})
+    place = tmp_path / "grid.json"
+    place.write_text(json.dumps({"operating_points": points}))
+    first, far = open_grid(str(place), 50.0), open_grid(f"{place}#far", 50.0)
+    assert far.at_f1 == pytest.approx(2.0 * first.at_f1, rel=1e-4)
+    assert any("grid.json holds the grids of near, far: taken was near" in note for note in first.notes)
+    assert not any("taken was" in note for note in far.notes)
+    with pytest.raises(GridError, match=r"no operating point 'x' in .*it has near, far"):
+        open_grid(f"{place}#x", 50.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.csv", lines("f [Hz],R [pu],X [pu]", F, Z.real, Z.imag), "a.csv: a column in 'pu'"),
+        ("b.csv", lines("f [Hz],R [ohm],X [ohm]", F[:1], Z.real[:1], Z.imag[:1]), "b.csv: .*one usable row;"),
+        ("c.s1p", "# Hz S RI R 50\n10 0.1\n20 0.2\n", "c.s1p: no Touchstone file of one port"),
+    ],
+)
+def test_a_refusal_names_the_file_and_what_it_needs(tmp_path: Path, name: str, content: str, words: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(GridError, match=words):
+        table_grid(tmp_path / name, 50.0)
+
+
+@pytest.mark.parametrize("text", ["scan.xlsx", "nowhere/grid", "0.012+0.25j.toml"])
+def test_what_looks_like_a_file_and_is_none_is_told_as_one(text: str) -> None:
+    with pytest.raises(GridError, match="no such file"):
+        open_grid(text, 50.0)
+
+
 def test_rows_missing_around_a_mode_are_named() -> None:
     f = F[(F < 60.0) | (F > 140.0)]
     grid = fit_impedance(f, impedance_of(DOCUMENT, 2j * np.pi * f), 50.0)
