@@ -9,6 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+import seqsweep as ss
 from seqsweep.identify.table.read import validate_table
 from seqsweep.tuning.farm.result import schema
 
@@ -58,6 +59,9 @@ def test_a_bank_of_grids_is_judged_each_with_its_own_load_flow(folder):
     assert [pairs[f"0000{k}"]["verdict"] for k in (1, 2, 4)] == ["stable", "stable", "undecided"]
     assert "the load flow has no solution" in pairs["00004"]["reason"]
     assert (folder / "judge.parquet").exists()
+    found = ss.judge(folder / "farm.toml", folder / "family.toml", jobs=1)
+    assert {v.grid_id: v.verdict for v in found} == {name: pair["verdict"] for name, pair in pairs.items()}
+    assert [v.re_rad_s for v in found] == [pairs[v.grid_id]["re_rad_s"] for v in found]
     assert "three turbines" in (folder / "map.svg").read_text()
 
 
