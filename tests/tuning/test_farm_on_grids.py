@@ -12,8 +12,10 @@ from seqsweep.sweep.bank.judge import judge_bank
 from seqsweep.tuning.bank.entries import BankEntry, bank_of
 from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.entries import FarmError, NoLoadFlow
+from seqsweep.tuning.farm.farm import judged, judged_with
 from seqsweep.tuning.farm.on_grids import farm_on_grids
-from seqsweep.tuning.farm.units import Library
+from seqsweep.tuning.farm.sources import with_source
+from seqsweep.tuning.farm.units import Library, units_of
 
 from ..support.farm_oracle import Star, closed_loop
 from ..support.farms import document
@@ -135,3 +137,17 @@ def test_a_farm_far_from_where_it_was_counted_is_left_undecided(farm):
     (verdict,) = judged_on(far, [grid(STAR.z_s)]).values()
     assert verdict.verdict == "undecided"
     assert "is far from that on its file's own source" in verdict.reason
+
+
+def test_a_grid_side_damper_stays_as_it_is_set_on_the_file_s_own_source(region):  # noqa: F811
+    """On another grid the mode is that of the whole farm there with the same damper, and not without it."""
+    content = {**document(STAR, 3), "device": devices(), "damper": [{"name": "gsdc", "bus": "pcc"}]}
+    library = Library(lambda name: region)
+    own = judged(farm_of(content), library)
+    weaker = with_source(own.entry, 1.2 * STAR.z_s)
+    there = judged_with(weaker, units_of(weaker, library)[0], own.dampers).judgement
+    (found,) = judged_on(FarmFollowing(farm_on_grids(own.entry, library)), [grid(1.2 * STAR.z_s)]).values()
+    mode = complex(found.re_rad_s, found.im_rad_s)
+    assert np.abs(there.in_band - mode).min() < 5e-3
+    assert found.verdict == there.verdict
+    assert abs(mode - critical(replace(STAR, z_s=1.2 * STAR.z_s))) > 1.0
