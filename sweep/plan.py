@@ -119,6 +119,10 @@ class Shot:
         }
 
 
+Aim = tuple[Injection, Window]
+"""What a shot injects, and what it listens to: the same at every operating point."""
+
+
 @dataclass(frozen=True, slots=True)
 class Play:
     """One experiment with a broadband signal.
@@ -207,8 +211,9 @@ class Batch:
         What feeds the PCC.
     points : tuple of Frequency
         Neighbours in window length, not in frequency.
-    shots : tuple of tuple of Shot
-        Per point its experiments, in pairs: at f and at the mirror; empty where a signal is played.
+    aims : tuple of tuple of (Injection, Window)
+        Per point what its experiments inject and listen to, in pairs: at f and at the mirror; empty where a signal is
+        played. Batches of all operating points share them: they are most of what a batch holds.
     plays : tuple of Play
         Of all points together, in pairs of opposite signs: along d and along q; empty where tones are injected.
     limits : Limits
@@ -226,7 +231,7 @@ class Batch:
     condition: Condition
     source: Source
     points: tuple[Frequency, ...]
-    shots: tuple[tuple[Shot, ...], ...]
+    aims: tuple[tuple[Aim, ...], ...]
     plays: tuple[Play, ...]
     limits: Limits
     block: Block
@@ -238,7 +243,12 @@ class Batch:
     @property
     def n_shots(self) -> int:
         """Number of experiments."""
-        return len(self.plays) or sum(len(of_point) for of_point in self.shots)
+        return len(self.plays) or sum(len(of_point) for of_point in self.aims)
+
+    @property
+    def shots(self) -> tuple[tuple[Shot, ...], ...]:
+        """Per point its experiments."""
+        return tuple(tuple(Shot(self.condition.op_id, *aim) for aim in of_point) for of_point in self.aims)
 
     @property
     def cycles(self) -> np.ndarray | None:
@@ -247,7 +257,7 @@ class Batch:
 
     def alone(self, k: int) -> Batch:
         """Point ``k`` of the batch by itself."""
-        return replace(self, points=self.points[k : k + 1], shots=self.shots[k : k + 1])
+        return replace(self, points=self.points[k : k + 1], aims=self.aims[k : k + 1])
 
     def facts(self) -> dict[str, Any]:
         """What the result depends on, as far as the batch knows."""
@@ -384,18 +394,27 @@ class Plan:
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
         groups = self.groups()
+        aims = [self._aims(group) for group in groups]
         for condition in self.conditions:
-            for group in groups:
-                yield self.batch(condition, group)
+            for group, of_group in zip(groups, aims, strict=True):
+                yield self._batch(condition, group, of_group)
 
     def batch(self, condition: Condition, points: tuple[Frequency, ...]) -> Batch:
         """Some points of an operating point as a unit of work, under the hash of all that its result depends on."""
-        played = self.signal is not None
+        return self._batch(condition, points, self._aims(points))
+
+    def _aims(self, points: tuple[Frequency, ...]) -> tuple[tuple[Aim, ...], ...]:
+        if self.signal is not None:
+            return ()
+        shots = [self.shots_of(self.conditions[0], point) for point in points]
+        return tuple(tuple((shot.injection, shot.window) for shot in of_point) for of_point in shots)
+
+    def _batch(self, condition: Condition, points: tuple[Frequency, ...], aims: tuple[tuple[Aim, ...], ...]) -> Batch:
         batch = Batch(
             condition=condition,
             source=self.source,
             points=points,
-            shots=() if played else tuple(self.shots_of(condition, point) for point in points),
+            aims=aims,
             plays=self.plays_of(condition),
             limits=self.limits,
             block=self.block,

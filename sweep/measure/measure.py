@@ -95,11 +95,11 @@ def _measured(plant: Plant, begun: Sequence[Begun]) -> list[list[Row]]:
     points = [
         Heard(batch, point, next(pairs), base)
         for batch, base in begun
-        for point, of_point in zip(batch.points, batch.shots, strict=True)
+        for point, of_point in zip(batch.points, batch.aims, strict=True)
         for _ in of_point[::2]
     ]
     solved = iter(zip(points, rows_of(plant, points), strict=True))
-    return [[_of_point(list(islice(solved, len(shots) // 2))) for shots in one.batch.shots] for one in begun]
+    return [[_of_point(list(islice(solved, len(aims) // 2))) for aims in one.batch.aims] for one in begun]
 
 
 def _of_signal(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
