@@ -30,7 +30,7 @@ from seqsweep.sweep.run import host, shards
 from seqsweep.sweep.run.campaign import RunError, run
 
 from ..support import oracle
-from ..support.commands import command, end_group, holding, shards_of, start, wait_for
+from ..support.commands import command, end_group, shards_of, start_held
 from ..support.resonances import TEN_HZ, ResonantBank
 
 F1_HZ = 50.0
@@ -330,9 +330,8 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path):
         '[sweep]\nf_min_hz = 20.0\nf_max_hz = 900.0\npoints = 30\nspacing = "adaptive"\n'
     )
     tables = [tmp_path / "killed.parquet", tmp_path / "fresh.parquet"]
-    process = start("run", path, "-o", tables[0], "--jobs", 2, env=holding(tables[0], 3))
+    process = start_held(tables[0], 3, "run", path, "-o", tables[0], "--jobs", 2)
     try:
-        wait_for((tmp_path / "held").exists)
         assert process.poll() is None
         os.kill(process.pid, signal.SIGKILL)
         process.wait(timeout=300)

@@ -166,6 +166,22 @@ def start(*arguments, **options):
     )
 
 
+def start_held(output, n_shards, *arguments, **options):
+    """`start` a campaign and see it hold; see `holding`.
+
+    Where it was over before its shards were seen, as a very busy machine may have it, it is begun once more.
+    """
+    held = output.with_name("held")
+    for _ in range(10):
+        process = start(*arguments, env=holding(output, n_shards), **options)
+        wait_for(lambda running=process: held.exists() or running.poll() is not None)
+        if process.poll() is None:
+            return process
+        end_group(process)
+        output.unlink(missing_ok=True)
+    raise AssertionError(f"it never held: exit status {process.returncode}")
+
+
 def ended(*arguments, timeout=600, **options):
     """Run the command to its end, see that no process of its session is left, and give (exit status, stderr)."""
     process = start(*arguments, **options)

@@ -21,11 +21,10 @@ from ..support.commands import (
     command,
     end_group,
     group_members,
-    holding,
     least_cpu_s,
     shards_of,
     slow_campaign,
-    start,
+    start_held,
     wait_for,
 )
 
@@ -296,9 +295,8 @@ def test_a_request_to_end_is_ctrl_c(tmp_path):
     """What a scheduler, `timeout` or docker sends, to the command alone."""
     table = tmp_path / "y.parquet"
     path = slow_campaign(tmp_path, plant="python:plants:SlowPythonBranch")
-    process = start("run", path, "-o", table, "--jobs", 2, env=holding(table, 1))
+    process = start_held(table, 1, "run", path, "-o", table, "--jobs", 2)
     try:
-        wait_for((tmp_path / "held").exists)
         process.terminate()
         _, said = process.communicate(timeout=600)
         assert process.returncode == INTERRUPTED, said
@@ -312,9 +310,8 @@ def test_a_request_to_end_is_ctrl_c(tmp_path):
 def test_ctrl_c_ends_soon_and_the_same_command_goes_on(tmp_path, backend):
     plant = "python:plants:SlowBranch" if backend == "threading" else "python:plants:SlowPythonBranch"
     path, table, fresh = slow_campaign(tmp_path, plant=plant), tmp_path / "y.parquet", tmp_path / "fresh.parquet"
-    process = start("run", path, "-o", table, "--jobs", 2, env=holding(table, 2))
+    process = start_held(table, 2, "run", path, "-o", table, "--jobs", 2)
     try:
-        wait_for((tmp_path / "held").exists)
         begin = time.perf_counter()
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers get it too
         _, said = process.communicate(timeout=600)
@@ -339,9 +336,8 @@ def test_ctrl_c_ends_soon_and_the_same_command_goes_on(tmp_path, backend):
 
 def test_ctrl_c_does_not_wait_for_a_plant_that_is_deep_in_itself(tmp_path):
     path, table = slow_campaign(tmp_path), tmp_path / "y.parquet"
-    process = start("run", path, "-o", table, env=holding(table, 0))
+    process = start_held(table, 0, "run", path, "-o", table)
     try:
-        wait_for((tmp_path / "held").exists)
         os.killpg(process.pid, signal.SIGINT)
         process.communicate(timeout=600)
         assert process.returncode == INTERRUPTED  # the shot would take an hour
@@ -354,9 +350,8 @@ def test_ctrl_c_does_not_wait_for_a_plant_that_is_deep_in_itself(tmp_path):
 
 def test_a_second_run_on_one_output_says_so_and_stops(tmp_path):
     path, table = slow_campaign(tmp_path), tmp_path / "y.parquet"
-    process = start("run", path, "-o", table, env=holding(table, 0))
+    process = start_held(table, 0, "run", path, "-o", table)
     try:
-        wait_for((tmp_path / "held").exists)
         assert_refused(command("run", path, "-o", table), "another run is writing this output", MACHINE)
         assert process.poll() is None  # the first is not disturbed
     finally:

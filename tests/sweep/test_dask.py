@@ -10,7 +10,17 @@ from contextlib import suppress
 
 import pytest
 
-from ..support.commands import call, campaign, command, end_group, holding, shards_of, slow_campaign, start, wait_for
+from ..support.commands import (
+    call,
+    campaign,
+    command,
+    end_group,
+    holding,
+    shards_of,
+    slow_campaign,
+    start_held,
+    wait_for,
+)
 
 pytest.importorskip("distributed")
 
@@ -63,9 +73,8 @@ def test_a_scheduler_that_is_killed_ends_in_one_line_and_the_work_is_kept(tmp_pa
     scheduler, address = cluster
     file = slow_campaign(tmp_path)
     out = tmp_path / "y.parquet"
-    runner = start("run", file, "-o", out, "--backend", "dask", "--scheduler", address)
+    runner = start_held(out, 1, "run", file, "-o", out, "--backend", "dask", "--scheduler", address)
     try:
-        wait_for((tmp_path / "held").exists)
         scheduler.send_signal(signal.SIGKILL)
         _, said = runner.communicate(timeout=600)
     finally:

@@ -29,11 +29,9 @@ from ..support.commands import (
     campaign,
     command,
     end_group,
-    holding,
     shards_of,
     slow_campaign,
-    start,
-    wait_for,
+    start_held,
 )
 from ..support.controllers import COMPILER, needs_compiler
 
@@ -241,9 +239,8 @@ def test_an_output_that_is_moved_during_the_run_costs_one_line(tmp_path):
     path, out = slow_campaign(tmp_path, n_points=2), tmp_path / "out"
     out.mkdir()
     table = out / "y.parquet"
-    process = start("run", path, "-o", table, "--jobs", 2, env=holding(table, 1))
+    process = start_held(table, 1, "run", path, "-o", table, "--jobs", 2)
     try:
-        wait_for((out / "held").exists)
         out.rename(tmp_path / "elsewhere")
         _, said = process.communicate(timeout=600)
     finally:
@@ -259,9 +256,8 @@ def test_who_is_told_to_ignore_ctrl_c_is_still_ended_by_sigterm(tmp_path):
     path, table = slow_campaign(tmp_path), tmp_path / "y.parquet"
     command = ["run", path, "-o", table, "--jobs", 1]
     ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)}
-    process = start(*command, env=holding(table, 1), **ignoring)
+    process = start_held(table, 1, *command, **ignoring)
     try:
-        wait_for((tmp_path / "held").exists)
         process.send_signal(signal.SIGINT)
         time.sleep(0.5)
         assert process.poll() is None

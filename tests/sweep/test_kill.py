@@ -22,10 +22,10 @@ from ..support.commands import (
     command,
     end_group,
     group_members,
-    holding,
     shards_of,
     slow_campaign,
     start,
+    start_held,
     wait_for,
 )
 
@@ -33,7 +33,7 @@ from ..support.commands import (
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory):
     """A campaign of a second."""
-    return slow_campaign(tmp_path_factory.mktemp("slow"), rest_s=0.005)
+    return slow_campaign(tmp_path_factory.mktemp("slow"))
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +48,9 @@ def undisturbed(slow):
     return bytes_of
 
 
-def killed(path, table, moment, *options, orphans=False, **environment):
+def killed(path, table, moment, *options, orphans=False):
     """Start the command, and kill -9 its runner alone when ``moment()`` has come; True if it was still at work."""
-    process = start("run", path, "-o", table, *options, **environment)
+    process = start("run", path, "-o", table, *options)
     try:
         wait_for(lambda: moment() or process.poll() is not None)
         caught = process.poll() is None
@@ -60,6 +60,17 @@ def killed(path, table, moment, *options, orphans=False, **environment):
         if not orphans:
             wait_for(lambda: not group_members(process.pid), 120.0)  # workers notice, and go by themselves
         return caught
+    finally:
+        end_group(process)
+
+
+def killed_while_held(path, table, n_shards, *options):
+    """Start the command, and kill -9 its runner alone while its plant holds; its workers go by themselves."""
+    process = start_held(table, n_shards, "run", path, "-o", table, *options)
+    try:
+        process.kill()
+        process.wait(timeout=300)
+        wait_for(lambda: not group_members(process.pid), 120.0)
     finally:
         end_group(process)
 
@@ -77,7 +88,7 @@ def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, undisturbed, n_s
     """Before the first shard, in the midst of them, near the last one."""
     setting = ["--jobs", 2, "--set", f"plant.isolate={isolate}"]
     path, table = slow, tmp_path / "y.parquet"
-    assert killed(path, table, (tmp_path / "held").exists, *setting, env=holding(table, n_shards))
+    killed_while_held(path, table, n_shards, *setting)
     assert not table.exists()
     kept = {shard: shard.stat().st_mtime_ns for shard in shards_of(table)}
     assert len(kept) >= n_shards
@@ -104,7 +115,7 @@ def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
     path = slow_campaign(tmp_path, plant="python:plants:SlowPythonBranch", rest_s=0.01, n_points=2)
     table, fresh = tmp_path / "y.parquet", tmp_path / "fresh.parquet"
     setting = ["--set", "plant.isolate=false", "--jobs", 2]
-    assert killed(path, table, (tmp_path / "held").exists, *setting, env=holding(table, 3))
+    killed_while_held(path, table, 3, *setting)
     alone = ["--set", "plant.isolate=false", "--backend", "threading"]
     assert finished(path, table, *setting) == finished(path, fresh, *alone)
 
