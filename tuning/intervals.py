@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn, spread, with_errors
+from ..identify.fit.rational import RationalModel, evaluate, evaluate_pn, n_errors, spread, with_errors
 from ..identify.frames import T_INVERSE, T, dq_to_pn
 from ..identify.uncertainty import NORMAL_95
 from .crossings import Crossing
@@ -147,7 +147,7 @@ def _followed(admittance: Admittance, gain: Gain, nu_hz: float) -> float:
 
 def _drawn(model: RationalModel, gain: Gain, nu_hz: float, std: float) -> Interval:
     """Quantiles over admittances drawn from the fit's distribution; one without a crossing counts as infinite."""
-    normal = np.random.default_rng(0).standard_normal((_DRAWS, model.covariance_root.shape[1] + 1))
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, n_errors(model)))
     nu = np.geomspace(0.5 * nu_hz, 2.0 * nu_hz, _SEARCHED) if nu_hz > 0.0 else np.zeros(1)
     at = _smallest if nu_hz > 0.0 else _at_zero
     found = [at(gain(y, nu)) for y in _moved(model, normal, nu)]

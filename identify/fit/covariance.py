@@ -16,19 +16,16 @@ from .least_squares import (
     datum_variance,
     inverse_r,
     projected_jacobian,
-    refine,
     shows_noise,
     solve_residues,
 )
-from .order import with_pair
-from .partial_fractions import counts_upper, order_of, parts
-from .rational import Rational, RationalModel
-from .residue_ranks import cut_ranks, truncated, uncut
-from .vector_fit import vector_fit
+from .omitted import omitted_modes
+from .partial_fractions import counts_upper, parts
+from .rational import RationalModel
+from .residue_ranks import Cut, cut_ranks, truncated, uncut
 
 _ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
 _RUNS_APART = 10.0  # by so many times their distance two poles may err apart from each other
-_FEIGNED = 18.0  # chi-squared that a pair of poles sought over the band gains from noise alone, on average
 _VISIBLE = 1e-3  # a doubt that does not show in the digits that are printed is not printed
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
 
@@ -41,15 +38,16 @@ def finished(
     remarks: tuple[str, ...] = (),
     whole_ranks: bool = False,
 ) -> RationalModel:
-    """The model with the poles of ``trial``; with ``whole_ranks`` as it is, neither cut nor compared with a rival."""
+    """The model with the poles of ``trial``; with ``whole_ranks`` as it is, neither cut nor its order in doubt."""
     linear = solve_residues(problem, trial.poles, trial.tail)
     cut = uncut(trial, linear) if whole_ranks else cut_ranks(problem, trial, linear)
     n_real, n_pair = counts_upper(trial.poles)
     residues, d, e = parts(n_real, n_pair, trial.tail, cut.coefficients)
     m = n_real + 2 * n_pair
-    root = _covariance_root(problem, trial, linear)
-    root[m:] = cut.kept @ root[m:]
-    rival, rival_share = (None, 0.0) if whole_ranks else _rival(problem, trial)
+    response, directions = _response(problem, trial, linear._replace(coefficients=cut.coefficients))
+    by_noise = response @ _noise_root(problem, linear, directions)
+    root = np.append(by_noise, _lost_by_cut(m, linear, cut)[:, None], axis=1)
+    in_doubt = not whole_ranks and shows_noise(problem, trial)
     std = np.linalg.norm(root[:m], axis=1)
     pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
     model = RationalModel(
@@ -67,8 +65,8 @@ def finished(
         nu_hz=problem.s.imag / (2.0 * np.pi),
         weight=problem.weight.T,
         covariance_root=root,
-        rival=rival,
-        rival_share=rival_share,
+        omitted=omitted_modes(problem, trial, linear, response, directions) if in_doubt else None,
+        rival=None,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
         remarks=remarks,
@@ -92,35 +90,11 @@ def _with_sign_notes(model: RationalModel) -> RationalModel:
     return replace(model, notes=(*model.notes, *noted), remarks=(*model.remarks, *remarked))
 
 
-# The rival -----------------------------------------------------------------------------------------------------------
-
-
-def _rival(problem: Problem, trial: Trial) -> tuple[Rational | None, float]:
-    """The fit with one pair more, and the share of its difference that counts as an error.
-
-    A mode just too faint to pay is no noise: left out, it moves the others. The squared share is the part of the
-    rival's gain in chi-squared that noise does not explain (the positive-part estimate of James and Stein).
-    """
-    room = order_of(trial.poles) + 2 <= (len(problem.s) - 1) // 2
-    if not shows_noise(problem, trial) or not room:
-        return None, 0.0
-    more = vector_fit(problem, with_pair(problem, trial), trial.tail, n_iterations=4)
-    more = refine(problem, more, n_iterations=3)
-    n_real, n_pair = counts_upper(more.poles)
-    linear = solve_residues(problem, more.poles, more.tail)
-    gain = (trial.cost - more.cost) / datum_variance(problem, more, linear)
-    if gain <= _FEIGNED:
-        return None, 0.0
-    residues, d, e = parts(n_real, n_pair, more.tail, linear.coefficients)
-    rival = Rational(np.concatenate([more.poles, more.poles[n_real:].conj()]), residues, d, e)
-    return rival, float(np.sqrt(1.0 - _FEIGNED / gain))
-
-
 # The covariance ------------------------------------------------------------------------------------------------------
 
 
-def _covariance_root(problem: Problem, trial: Trial, linear: Linear) -> np.ndarray:
-    """Root of the covariance of poles and coefficients: their least squares' response to the noise of the data.
+def _response(problem: Problem, trial: Trial, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
+    """What noise does to poles and coefficients (k, k), and the orthonormal directions of it that do (4, 2n, k).
 
     Weights need not be those of the noise, and noise is correlated between elements: the error is R^-1 Q^T noise, and
     its covariance R^-1 (Q^T cov Q) R^-T.
@@ -134,7 +108,12 @@ def _covariance_root(problem: Problem, trial: Trial, linear: Linear) -> np.ndarr
     root[m:, :m] = -(r_inverse @ (inside @ poles)).reshape(ELEMENTS * c, m)
     root[m:, m:] = block_diagonal(r_inverse)
     directions = np.concatenate([u.reshape(*linear.misfit.shape, m), _block_columns(linear.q)], axis=2)
-    return root @ _noise_root(problem, linear, directions)
+    return root, directions
+
+
+def _lost_by_cut(m: int, linear: Linear, cut: Cut) -> np.ndarray:
+    """What the cut of ranks took from the parameters (k,), an error of the model: noise alone may not be all of it."""
+    return np.append(np.zeros(m), linear.coefficients - cut.coefficients)
 
 
 def _held_inverse(

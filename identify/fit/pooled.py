@@ -81,7 +81,7 @@ class Pool:
             return own
         more = finished(*fit, whole_ranks=True)
         rival = Rational(more.poles, more.residues, more.d, more.e)
-        return replace(own, rival=rival, rival_share=1.0, shared_rival=True)
+        return replace(own, omitted=None, rival=rival)
 
 
 def _with_one_at(fit: Settled, place: complex) -> Settled:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..frames import dq_to_pn
 from .dq_data import ELEMENTS
-from .partial_fractions import basis, counts
+from .partial_fractions import basis, counts, counts_upper
 
 
 class Rational(NamedTuple):
@@ -20,6 +20,20 @@ class Rational(NamedTuple):
     residues: np.ndarray
     d: np.ndarray
     e: np.ndarray
+
+
+class Omitted(NamedTuple):
+    """Terms that a model leaves out (`identify.fit.omitted`), each of the q columns an error of unit variance.
+
+    ``poles`` (p,) are the upper ones of pairs that may be missing, ``split`` (j,) the poles of the model, real ones or
+    upper ones of pairs, that may stand for several; ``by_fit`` (k, q) is what the errors do to the real parameters of
+    the model, ``coefficients`` (4c, q) are those of the columns of `omitted_basis`, for dd, dq, qd and qq.
+    """
+
+    poles: np.ndarray
+    split: np.ndarray
+    by_fit: np.ndarray
+    coefficients: np.ndarray
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,21 +67,20 @@ class RationalModel:
         Frequencies that were fitted, |f - f1| (Hz).
     weight : (n, 4) float
         What dd, dq, qd, qq of every fitted row were weighted with (1/S).
-    covariance_root : (k, k) float
+    covariance_root : (k, j) float
         F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
         poles have parameters of which only combinations are known: multiply F first, square then.
+    omitted : Omitted or None
+        What the model leaves out. None where the rows show no noise.
     rival : Rational or None
-        The fit with one pair more, which the data do not pay for. None where it gains no more than noise would give.
-    rival_share : float
-        Which part of the difference to the rival is taken as one more error of the model, as a standard deviation.
+        The fit with pairs more that many tables ask for together (`identify.fit.pooled`), whose difference is one error
+        that they have in common.
     pole_std : (m,) complex
         Standard errors of the poles, real part + 1j imaginary part (rad/s).
     notes : tuple of str
         What the reader of a result should know: rows that were left out, an instability of the device's own.
     remarks : tuple of str
         What was decided on the way and asks for nothing: faint poles left out, signs that the data leave open.
-    shared_rival : bool
-        Whether the difference to the rival is one error with that of other tables (`identify.fit.pooled`).
     """
 
     f1_hz: float
@@ -84,12 +97,11 @@ class RationalModel:
     nu_hz: np.ndarray
     weight: np.ndarray
     covariance_root: np.ndarray
+    omitted: Omitted | None
     rival: Rational | None
-    rival_share: float
     pole_std: np.ndarray
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
-    shared_rival: bool = False
 
     @property
     def order(self) -> int:
@@ -161,41 +173,59 @@ def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
     return share / np.sum(share)
 
 
+def omitted_basis(omitted: Omitted, s: np.ndarray) -> np.ndarray:
+    """(n, c): partial fractions of the missing pairs, then the slopes 1/(s - p)^2 of the poles that may be split."""
+    n_real, _ = counts_upper(omitted.split)
+    upper = 1.0 / (s[:, None] - omitted.split) ** 2
+    lower = 1.0 / (s[:, None] - omitted.split[n_real:].conj()) ** 2
+    pairs = upper[:, n_real:]
+    slopes = [upper[:, :n_real], pairs + lower, 1j * (pairs - lower)]
+    return np.concatenate([basis(s, omitted.poles, 0), *slopes], axis=1)
+
+
+def n_errors(model: RationalModel) -> int:
+    """Number of independent errors of unit variance in `spread`."""
+    return model.covariance_root.shape[1] + (0 if model.omitted is None else model.omitted.by_fit.shape[1]) + 1
+
+
 def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """What the independent errors of the fit, each of unit variance, do to ``sum_ij weight_ij Ydq_ij(s)``: (n, k + 1).
+    """What the independent errors of the fit, each of unit variance, do to ``sum_ij weight_ij Ydq_ij(s)``: (n, j).
 
     The covariance of such sums is that of the columns: ``spread @ spread.T`` for the real parts. ``s`` and ``weight``
-    are those of `gradient`. The last error is the difference to the rival.
+    are those of `gradient`. Noise comes first, then what the model leaves out; the last error is the difference to the
+    rival.
     """
-    by_noise = gradient(model, s, weight) @ model.covariance_root
+    return np.concatenate([_smooth_errors(model, s, weight), _by_rival(model, s, weight)[:, None]], axis=1)
+
+
+def _smooth_errors(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    slopes = gradient(model, s, weight)
+    if model.omitted is None:
+        return slopes @ model.covariance_root
+    beside = weight.reshape(-1, ELEMENTS, 1) * omitted_basis(model.omitted, s)[:, None, :]
+    by_omitted = slopes @ model.omitted.by_fit + beside.reshape(len(s), -1) @ model.omitted.coefficients
+    return np.concatenate([slopes @ model.covariance_root, by_omitted], axis=1)
+
+
+def _by_rival(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
     if model.rival is None:
-        return np.append(by_noise, np.zeros((len(s), 1)), axis=1)
-    by_order = np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
-    return np.append(by_noise, model.rival_share * by_order[:, None], axis=1)
+        return np.zeros(len(s), dtype=complex)
+    return np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
 
 
 def joint(models: Sequence[RationalModel], errors: Sequence[np.ndarray]) -> np.ndarray:
-    """Errors (..., k) of what several tables make together, of `spread` of each: a shared rival's are one error."""
-    pairs = list(zip(models, errors, strict=True))
-    own = [np.where(_last(e) & model.shared_rival, 0.0, e) for model, e in pairs]
-    shared = [e[..., -1:] for model, e in pairs if model.shared_rival]
-    return np.concatenate([*own, sum(shared)] if shared else own, axis=-1)
-
-
-def _last(errors: np.ndarray) -> np.ndarray:
-    return np.arange(errors.shape[-1]) == errors.shape[-1] - 1
+    """Errors (..., k) of what several tables make together, of `spread` of each: their rivals' are one error."""
+    shared = sum(e[..., -1:] for e in errors)
+    return np.concatenate([*[e[..., :-1] for e in errors], shared], axis=-1)
 
 
 def with_errors(model: RationalModel, s: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Ydq (..., n, 2, 2) in S with the errors (..., k + 1) of `spread`, to first order, at ``s`` (n,) in rad/s.
+    """Ydq (..., n, 2, 2) in S with the errors (..., j) of `spread`, to first order, at ``s`` (n,) in rad/s.
 
     Moving the parameters themselves would be worse: neighbouring poles, only combinations of which are known, would
     take Y, of second order, to where no row lets it be.
     """
-    slopes = _element_slopes(model, s)
-    change = errors[..., :-1] @ model.covariance_root.T
+    units = np.tile(np.eye(ELEMENTS).reshape(ELEMENTS, 2, 2), (len(s), 1, 1))
+    slopes = spread(model, np.repeat(s, ELEMENTS), units)
     y = evaluate(model, s)
-    moved = y + (change @ slopes.reshape(-1, slopes.shape[2]).T).reshape(*errors.shape[:-1], *y.shape)
-    if model.rival is None:
-        return moved
-    return moved + model.rival_share * errors[..., -1, None, None, None] * (evaluate(model.rival, s) - y)
+    return y + (errors @ slopes.T).reshape(*errors.shape[:-1], *y.shape)

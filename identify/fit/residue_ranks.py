@@ -14,16 +14,15 @@ _SINGULAR = 1e-2  # second direction of a residue, relative to the first, below 
 
 
 class Cut(NamedTuple):
-    """Coefficients (4, c) with some residues made singular, the ranks (m,), and what was kept of a change (4c, 4c)."""
+    """Coefficients (4, c) with some residues made singular, and the ranks (m,)."""
 
     coefficients: np.ndarray
     ranks: np.ndarray
-    kept: np.ndarray
 
 
 def uncut(trial: Trial, linear: Linear) -> Cut:
     """Every residue with its full rank."""
-    return Cut(linear.coefficients, np.full(order_of(trial.poles), 2), np.eye(linear.coefficients.size))
+    return Cut(linear.coefficients, np.full(order_of(trial.poles), 2))
 
 
 def cut_ranks(problem: Problem, trial: Trial, linear: Linear) -> Cut:
@@ -36,7 +35,6 @@ def cut_ranks(problem: Problem, trial: Trial, linear: Linear) -> Cut:
     r_inverse = inverse_r(linear)
     covariance = datum_variance(problem, trial, linear) * block_diagonal(r_inverse @ np.swapaxes(r_inverse, 1, 2))
     x = linear.coefficients.ravel()
-    kept = np.eye(len(x))
     open_ones = set(range(n_real + n_pair))
     penalty = float(np.log(2 * problem.y.size))
     while open_ones:
@@ -49,10 +47,9 @@ def cut_ranks(problem: Problem, trial: Trial, linear: Linear) -> Cut:
         w = weights[k]
         lever = np.linalg.solve(w @ covariance @ w.T, w @ covariance).T
         x, covariance = x - lever @ (w @ x), covariance - lever @ (w @ covariance)
-        kept -= lever @ (w @ kept)
         open_ones.remove(k)
     ranks = np.array([2 if k in open_ones else 1 for k in range(n_real + n_pair)], dtype=int)
-    return Cut(x.reshape(ELEMENTS, -1), np.append(ranks, ranks[n_real:]), kept)
+    return Cut(x.reshape(ELEMENTS, -1), np.append(ranks, ranks[n_real:]))
 
 
 def _single(problem: Problem, trial: Trial, coefficients: np.ndarray) -> set[int]:

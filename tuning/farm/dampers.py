@@ -192,7 +192,7 @@ def model_of(device: GridSideDamper) -> RationalModel:
         weight=np.ones((2, 4)),
         covariance_root=np.zeros((5 * len(poles), 1)),
         rival=None,
-        rival_share=0.0,
+        omitted=None,
         pole_std=np.zeros(len(poles), dtype=complex),
     )
 

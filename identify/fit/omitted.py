@@ -1,0 +1,120 @@
+"""What a model of few poles leaves out, as an error of its own: faint modes, and poles that stand for several.
+
+The order is the one that BIC pays for. A mode that gains less than some hundred in chi-squared is left out, and poles
+next to each other become one: what is left out moves the other poles, by several times what noise does. So the true Y
+is the model, and beside it a sum of terms of unknown size:
+
+- a pair of poles at each of some places over the band, for the modes that are missing;
+- 1/(s - p)^2 in each element for each pole of the model, for those it stands for: with residues R_i at p + d_i their
+  sum is, to first order, (sum R_i)/(s - p) + (sum R_i d_i)/(s - p)^2, and the second matrix need not be a multiple of
+  the first, as it is where a single pole moves.
+
+Sizes are normal about zero with one variance for each of the two kinds, relative to Y (a Gaussian process beside the
+model: M. C. Kennedy, A. O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63, 2001). The
+variances are not known either. Every pair of them on a logarithmic grid counts as much as the misfit makes it likely
+(restricted likelihood: what the fit has taken is left aside), so that rows which show nothing beyond noise still leave
+room for what noise hides. What the model errs by is the second moment of these terms about zero, as the model itself
+stays without them, and what they do to its parameters.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .dq_data import ELEMENTS
+from .least_squares import Linear, Problem, Trial, block_diagonal, stacked
+from .partial_fractions import order_of
+from .rational import Omitted, omitted_basis
+
+_PLACES = 8  # pairs over the band
+_DAMPING = 0.5  # of each
+_LOWEST = 3e-3  # the first pair's place, in bands, where rows are as near to f1
+_BAND = 1.5  # poles of the model further out than so many bands are not split
+_SIZES = np.geomspace(1e-2, 1e6, 25)  # variance of the sizes against that of noise, in the sharpest direction
+_RATIOS = (0.3, 1.0, 3.0, 10.0)  # size of split poles, in that of missing modes
+_REGULAR = 1e-10  # directions of the sizes that the misfit shows less of, in the largest, are not seen
+
+
+class _Seen(NamedTuple):
+    """What the misfit shows of the terms: directions (q, j) of their sizes, each of unit effect on the rows, and what
+    was found of it (j,); ``effect`` (j,) is the squared effect of a size of one, ``rest`` the sum of squares in no
+    direction, ``freedom`` the number of data in all.
+    """
+
+    axes: np.ndarray
+    effect: np.ndarray
+    found: np.ndarray
+    rest: float
+    freedom: int
+
+
+def omitted_modes(
+    problem: Problem, trial: Trial, linear: Linear, response: np.ndarray, directions: np.ndarray
+) -> Omitted:
+    """Terms beside the model, and what they do to its parameters.
+
+    ``directions`` (4, 2n, k) are orthonormal, and ``response`` (k, k) is what noise along them does to the parameters.
+    """
+    none = np.zeros((0, 0))
+    split = trial.poles[np.abs(trial.poles) < _BAND * abs(problem.s[-1])]
+    terms = Omitted(_places(problem), split, none, none)
+    rows = omitted_basis(terms, problem.s)
+    size = np.sqrt(np.sum(np.abs(problem.y) ** 2, axis=0) / ELEMENTS)
+    scale = 1.0 / np.max(np.abs(rows) / size[:, None], axis=0)
+    columns = stacked((rows * scale) * problem.weight[:, :, None])
+    taken = np.concatenate(list(np.swapaxes(directions, 1, 2) @ columns), axis=1)
+    gram = block_diagonal(np.swapaxes(columns, 1, 2) @ columns) - taken.T @ taken
+    left = linear.misfit - directions @ np.tensordot(directions, linear.misfit, axes=([0, 1], [0, 1]))
+    shown = np.einsum("enj,en->ej", columns, left).ravel()
+    freedom = max(linear.misfit.size - order_of(trial.poles) - linear.coefficients.size, ELEMENTS)
+    is_split = np.tile(np.arange(len(scale)) >= 2 * len(terms.poles), ELEMENTS)
+    root = _sizes(gram, shown, is_split, linear.cost, freedom)
+    return terms._replace(by_fit=response @ (taken @ root), coefficients=-np.tile(scale, ELEMENTS)[:, None] * root)
+
+
+def _places(problem: Problem) -> np.ndarray:
+    """Upper poles (rad/s) over the band."""
+    end = abs(problem.s[-1])
+    sizes = np.geomspace(max(_LOWEST * end, 0.5 * abs(problem.s[0])), 1.3 * end, _PLACES)
+    return sizes * complex(-_DAMPING, (1.0 - _DAMPING**2) ** 0.5)
+
+
+def _sizes(gram: np.ndarray, shown: np.ndarray, is_split: np.ndarray, cost: float, freedom: int) -> np.ndarray:
+    """Root (q, q) of the second moment of the terms' sizes about zero, over all ratios of the two kinds."""
+    roots, chances = [], []
+    for ratio in _RATIOS:
+        unit = np.where(is_split, ratio, 1.0)
+        seen = _seen(unit[:, None] * gram * unit, unit * shown, cost, freedom)
+        root, chance = _second_moment(seen)
+        roots.append(unit[:, None] * (seen.axes @ root))
+        chances.append(chance)
+    share = np.exp(np.array(chances) - max(chances))
+    share = np.sqrt(share / np.sum(share))
+    every = np.concatenate([part * root for part, root in zip(share, roots, strict=True)], axis=1)
+    return np.asarray(np.linalg.qr(every.T, mode="r").T)
+
+
+def _seen(gram: np.ndarray, shown: np.ndarray, cost: float, freedom: int) -> _Seen:
+    """Directions that the rows see, the others of which the fit's own parameters make up for."""
+    effect, axes = np.linalg.eigh(gram)
+    clear = effect > _REGULAR * effect[-1]
+    effect, axes = effect[clear], axes[:, clear] / np.sqrt(effect[clear])
+    found = axes.T @ shown
+    return _Seen(axes, effect, found, max(cost - float(found @ found), _REGULAR * cost), freedom)
+
+
+def _second_moment(seen: _Seen) -> tuple[np.ndarray, float]:
+    """Root (j, j) of the sizes' second moment about zero, along directions of unit effect, and the log likelihood."""
+    damped = 1.0 + (_SIZES / seen.effect[-1])[:, None] * seen.effect
+    variance = (seen.rest + np.sum(seen.found**2 / damped, axis=1)) / seen.freedom
+    chance = -0.5 * (seen.freedom * np.log(variance) + np.sum(np.log(damped), axis=1))
+    share = np.exp(chance - chance.max())
+    likely = float(np.log(np.sum(share)) + chance.max())
+    share = share / np.sum(share)
+    known = 1.0 - 1.0 / damped
+    mean = known * seen.found
+    moment = np.diag((share * variance) @ known) + (share[:, None] * mean).T @ mean
+    size, axes = np.linalg.eigh(moment)
+    return axes * np.sqrt(np.maximum(size, 0.0)), likely
