@@ -19,7 +19,7 @@ from .least_squares import (
     shows_noise,
     solve_residues,
 )
-from .omitted import omitted_modes
+from .omitted import beside_the_model, with_cut
 from .partial_fractions import counts_upper, parts
 from .rational import RationalModel
 from .residue_ranks import Cut, cut_ranks, truncated, uncut
@@ -45,9 +45,8 @@ def finished(
     residues, d, e = parts(n_real, n_pair, trial.tail, cut.coefficients)
     m = n_real + 2 * n_pair
     response, directions = _response(problem, trial, linear._replace(coefficients=cut.coefficients))
-    by_noise = response @ _noise_root(problem, linear, directions)
-    root = np.append(by_noise, _lost_by_cut(m, linear, cut)[:, None], axis=1)
-    in_doubt = not whole_ranks and shows_noise(problem, trial)
+    response = _held_singular(response, cut)
+    root = response @ _noise_root(problem, linear, directions)
     std = np.linalg.norm(root[:m], axis=1)
     pair_std = std[n_real : n_real + n_pair] + 1j * std[n_real + n_pair :]
     model = RationalModel(
@@ -65,12 +64,15 @@ def finished(
         nu_hz=problem.s.imag / (2.0 * np.pi),
         weight=problem.weight.T,
         covariance_root=root,
-        omitted=omitted_modes(problem, trial, linear, response, directions) if in_doubt else None,
+        omitted=None,
         rival=None,
         pole_std=np.concatenate([std[:n_real].astype(complex), pair_std, pair_std]),
         notes=notes,
         remarks=remarks,
     )
+    if shows_noise(problem, trial) and not whole_ranks:
+        beside = beside_the_model(problem, trial, linear, cut.ranks, response, directions)
+        model = replace(model, omitted=with_cut(beside, linear.coefficients - cut.coefficients))
     return _with_sign_notes(model)
 
 
@@ -111,9 +113,13 @@ def _response(problem: Problem, trial: Trial, linear: Linear) -> tuple[np.ndarra
     return root, directions
 
 
-def _lost_by_cut(m: int, linear: Linear, cut: Cut) -> np.ndarray:
-    """What the cut of ranks took from the parameters (k,), an error of the model: noise alone may not be all of it."""
-    return np.append(np.zeros(m), linear.coefficients - cut.coefficients)
+def _held_singular(response: np.ndarray, cut: Cut) -> np.ndarray:
+    """The response (k, k) to noise of a fit whose poles and residues move together so that what was cut stays zero."""
+    read = cut.rows @ response[response.shape[0] - cut.rows.shape[1] :]
+    size = np.linalg.norm(read, axis=1)
+    _, singular, along = np.linalg.svd(read / np.where(size > 0.0, size, 1.0)[:, None], full_matrices=False)
+    along = along[singular > 1e-8]
+    return response - (response @ along.T) @ along
 
 
 def _held_inverse(

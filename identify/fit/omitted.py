@@ -50,15 +50,25 @@ class _Seen(NamedTuple):
     freedom: int
 
 
-def omitted_modes(
-    problem: Problem, trial: Trial, linear: Linear, response: np.ndarray, directions: np.ndarray
+def with_cut(omitted: Omitted, lost: np.ndarray) -> Omitted:
+    """One term more: coefficients ``lost`` (4, c) that the cut of ranks took, which may be more than noise."""
+    of_fit = np.append(np.zeros(len(omitted.by_fit) - lost.size), lost)
+    return omitted._replace(
+        by_fit=np.append(omitted.by_fit, of_fit[:, None], axis=1),
+        coefficients=np.append(omitted.coefficients, np.zeros((len(omitted.coefficients), 1)), axis=1),
+    )
+
+
+def beside_the_model(
+    problem: Problem, trial: Trial, linear: Linear, ranks: np.ndarray, response: np.ndarray, directions: np.ndarray
 ) -> Omitted:
     """Terms beside the model, and what they do to its parameters.
 
     ``directions`` (4, 2n, k) are orthonormal, and ``response`` (k, k) is what noise along them does to the parameters.
     """
     none = np.zeros((0, 0))
-    split = trial.poles[np.abs(trial.poles) < _BAND * abs(problem.s[-1])]
+    several = (ranks[: len(trial.poles)] > 1) & (np.abs(trial.poles) < _BAND * abs(problem.s[-1]))
+    split = trial.poles[several]
     terms = Omitted(_places(problem), split, none, none)
     rows = omitted_basis(terms, problem.s)
     size = np.sqrt(np.sum(np.abs(problem.y) ** 2, axis=0) / ELEMENTS)

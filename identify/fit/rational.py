@@ -67,7 +67,7 @@ class RationalModel:
         Frequencies that were fitted, |f - f1| (Hz).
     weight : (n, 4) float
         What dd, dq, qd, qq of every fitted row were weighted with (1/S).
-    covariance_root : (k, j) float
+    covariance_root : (k, k) float
         F with F F^T the covariance of the real parameters, in the order of `gradient`. A root, because neighbouring
         poles have parameters of which only combinations are known: multiply F first, square then.
     omitted : Omitted or None

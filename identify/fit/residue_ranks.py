@@ -14,15 +14,16 @@ _SINGULAR = 1e-2  # second direction of a residue, relative to the first, below 
 
 
 class Cut(NamedTuple):
-    """Coefficients (4, c) with some residues made singular, and the ranks (m,)."""
+    """Coefficients (4, c) with some residues made singular, ranks (m,), and rows (j, 4c) that read what was cut."""
 
     coefficients: np.ndarray
     ranks: np.ndarray
+    rows: np.ndarray
 
 
 def uncut(trial: Trial, linear: Linear) -> Cut:
     """Every residue with its full rank."""
-    return Cut(linear.coefficients, np.full(order_of(trial.poles), 2))
+    return Cut(linear.coefficients, np.full(order_of(trial.poles), 2), np.zeros((0, linear.coefficients.size)))
 
 
 def cut_ranks(problem: Problem, trial: Trial, linear: Linear) -> Cut:
@@ -36,6 +37,7 @@ def cut_ranks(problem: Problem, trial: Trial, linear: Linear) -> Cut:
     covariance = datum_variance(problem, trial, linear) * block_diagonal(r_inverse @ np.swapaxes(r_inverse, 1, 2))
     x = linear.coefficients.ravel()
     open_ones = set(range(n_real + n_pair))
+    rows = np.zeros((0, len(x)))
     penalty = float(np.log(2 * problem.y.size))
     while open_ones:
         weights = {k: _second_direction(trial, x.reshape(ELEMENTS, -1), k) for k in open_ones}
@@ -47,9 +49,10 @@ def cut_ranks(problem: Problem, trial: Trial, linear: Linear) -> Cut:
         w = weights[k]
         lever = np.linalg.solve(w @ covariance @ w.T, w @ covariance).T
         x, covariance = x - lever @ (w @ x), covariance - lever @ (w @ covariance)
+        rows = np.append(rows, w, axis=0)
         open_ones.remove(k)
     ranks = np.array([2 if k in open_ones else 1 for k in range(n_real + n_pair)], dtype=int)
-    return Cut(x.reshape(ELEMENTS, -1), np.append(ranks, ranks[n_real:]))
+    return Cut(x.reshape(ELEMENTS, -1), np.append(ranks, ranks[n_real:]), rows)
 
 
 def _single(problem: Problem, trial: Trial, coefficients: np.ndarray) -> set[int]:
