@@ -5,9 +5,9 @@ next to each other become one: what is left out moves the other poles, by severa
 is the model, and beside it a sum of terms of unknown size:
 
 - a pair of poles at each of some places over the band, for the modes that are missing;
-- 1/(s - p)^2 in each element for each pole of the model, for those it stands for: with residues R_i at p + d_i their
-  sum is, to first order, (sum R_i)/(s - p) + (sum R_i d_i)/(s - p)^2, and the second matrix need not be a multiple of
-  the first, as it is where a single pole moves.
+- 1/(s - p)^2 in each element for each pole of the model whose residue has rank two, which stands for several modes, as
+  one alone has rank one: with residues R_i at p + d_i their sum is, to first order, (sum R_i)/(s - p) and
+  (sum R_i d_i)/(s - p)^2, and the second matrix need not be a multiple of the first, as it is where one pole moves.
 
 Sizes are normal about zero with one variance for each of the two kinds, relative to Y (a Gaussian process beside the
 model: M. C. Kennedy, A. O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63, 2001). The
