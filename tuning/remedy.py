@@ -33,8 +33,9 @@ class Remedy(NamedTuple):
 def remedy(model: RationalModel, grid: Grid, pole: complex, part: float) -> Remedy | None:
     """The cheapest band of rows that brings the variance of Re(pole) down to ``part`` of itself; None if too dear.
 
-    Noise goes down with the number of periods; what the model leaves out is taken to go with it. A band grows from the row that matters most towards the neighbour that
-    matters more; of all such bands the one with the fewest periods in total is taken.
+    Noise goes down with the number of periods; what the model leaves out is taken to go with it. A band grows from the
+    row that matters most towards the neighbour that matters more; of all such bands the one with the fewest periods in
+    total is taken.
     """
     g = gradient(model, np.array([pole]), mode_weight(model, grid, np.array([pole])))[0]
     share = row_shares(model, g.real)
