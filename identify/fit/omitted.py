@@ -103,7 +103,7 @@ def _sizes(gram: np.ndarray, shown: np.ndarray, is_split: np.ndarray, cost: floa
     share = np.exp(np.array(chances) - max(chances))
     share = np.sqrt(share / np.sum(share))
     every = np.concatenate([part * root for part, root in zip(share, roots, strict=True)], axis=1)
-    return np.asarray(np.linalg.qr(every.T, mode="r").T)
+    return np.asarray(np.linalg.qr(every.T, mode="r")).T
 
 
 def _seen(gram: np.ndarray, shown: np.ndarray, cost: float, freedom: int) -> _Seen:
