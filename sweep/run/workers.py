@@ -230,8 +230,10 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[Any]:
                 ) from None
             yield client
         return
+    any_port = {"dashboard_address": ":0"}  # without a dashboard the scheduler takes its port all the same
+    settings = {"dashboard_address": None, "scheduler_kwargs": any_port, "silence_logs": 50}
     with (
-        LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+        LocalCluster(n_workers=jobs, threads_per_worker=1, **settings) as cluster,
         Client(cluster, set_as_default=True) as client,
     ):
         yield client
