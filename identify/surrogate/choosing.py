@@ -50,9 +50,26 @@ def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
     list of Shape
         Best first; at most ``1 + RIVALS``.
     """
-    origin = ((0,) * data.x.shape[1],)
     tried: dict[Shape, float] = {}
-    shape = Shape(origin, ())
+    for start in _starts(data):
+        _grow(data, start, tried, region)
+    return _ranked(tried)
+
+
+def _starts(data: Data) -> list[Shape]:
+    """A constant, and where the sweeps allow it a linear numerator over a linear denominator.
+
+    From the constant alone growing may end early: where no one or two indices help, though more of them would.
+    """
+    n_axes = data.x.shape[1]
+    constant = Shape(((0,) * n_axes,), ())
+    first = tuple(sorted(border(constant.numerator, n_axes, 1)))
+    linear = Shape((*constant.numerator, *first), first)
+    return [shape for shape in (constant, linear) if shape is constant or _has_freedom(data, linear)]
+
+
+def _grow(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> None:
+    """Grow a shape until nothing is gained; every shape on the way is tried."""
     _best_of(data, [shape], tried, region)
     best, idle = tried[shape], 0
     while idle < _PATIENCE and best > ENOUGH:
@@ -62,7 +79,6 @@ def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
         shape = found
         idle = 0 if tried[shape] < best / SMALLEST_WITHIN else idle + 1
         best = min(best, tried[shape])
-    return _ranked(tried)
 
 
 def _grown(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> Shape | None:

@@ -16,7 +16,7 @@ import numpy as np
 from .certainty import certainty, relative_error
 from .choosing import choose_shapes
 from .partitions import evidence_of
-from .sparse_rational import Data, Fitted, fit_shape, predict
+from .sparse_rational import Data, Fitted, fit_shape, predict, values
 
 FEATURES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
     "active power": (lambda x: x[:, 0], "MW"),
@@ -300,7 +300,7 @@ def _moved(data: Data, side: np.ndarray, models: tuple[Fitted, Fitted]) -> np.nd
 
 def _missed(data: Data, model: Fitted) -> np.ndarray:
     """(m,) root mean square of what a model misses each sweep by, relative to ||Y||."""
-    off = (predict(model, data.x).y.transpose(1, 0, 2) - data.y) * data.weight[..., None]
+    off = (values(model, data.x).transpose(1, 0, 2) - data.y) * data.weight[..., None]
     return np.sqrt(np.mean(np.sum(np.abs(off) ** 2, axis=2), axis=0))
 
 

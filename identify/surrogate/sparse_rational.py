@@ -288,6 +288,12 @@ def _regular(r: np.ndarray) -> np.ndarray:
     return r
 
 
+def values(fitted: Fitted, x: np.ndarray) -> np.ndarray:
+    """Y (p, f, 4) at points (p, d) of the unit box, without what a leverage takes."""
+    d = 1.0 + fitted.denominator @ chebyshev_products(x, fitted.shape.denominator).T
+    return np.swapaxes((chebyshev_products(x, fitted.shape.numerator) @ fitted.numerator) / d[..., None], 0, 1)
+
+
 def predict(fitted: Fitted, x: np.ndarray, rows: np.ndarray | slice = slice(None)) -> Prediction:
     """The model at points (p, d) of the unit box.
 

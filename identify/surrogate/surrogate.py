@@ -34,7 +34,7 @@ from .region import (
     points_of,
     scale_of,
 )
-from .sparse_rational import ELEMENTS, Data, Fitted, Shape, fit_shape, predict
+from .sparse_rational import ELEMENTS, Data, Fitted, Shape, fit_shape, predict, values
 
 DECIDING = 24
 """Frequencies by which the products are chosen."""
@@ -188,7 +188,7 @@ class Surrogate:
         """
         if self.terminal is None:
             raise SurrogateError("the table lacks the measured fundamental of its operating points: sweep it again")
-        return predict(self.terminal, self.scale.unit(self.region.complete(points))).y[:, 0, 0]
+        return values(self.terminal, self.scale.unit(self.region.complete(points)))[:, 0, 0]
 
     @cached_property
     def worst_bar(self) -> tuple[float, np.ndarray]:
