@@ -15,10 +15,9 @@ from ..support.commands import (
     campaign,
     command,
     end_group,
-    holding,
     shards_of,
     slow_campaign,
-    start_held,
+    start,
     wait_for,
 )
 
@@ -29,8 +28,7 @@ pytest.importorskip("distributed")
 def cluster(tmp_path):
     """A scheduler and one worker with one slot, each a process; its address."""
     address = tmp_path / "address.json"
-    quiet = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    common = {**quiet, "env": holding(tmp_path / "y.parquet", 1)}
+    common = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     options = ["--no-dashboard", "--scheduler-file", str(address)]
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *options],
@@ -73,8 +71,9 @@ def test_a_scheduler_that_is_killed_ends_in_one_line_and_the_work_is_kept(tmp_pa
     scheduler, address = cluster
     file = slow_campaign(tmp_path)
     out = tmp_path / "y.parquet"
-    runner = start_held(out, 1, "run", file, "-o", out, "--backend", "dask", "--scheduler", address)
+    runner = start("run", file, "-o", out, "--backend", "dask", "--scheduler", address)
     try:
+        wait_for(lambda: len(list(shards_of(out))) > 0)
         scheduler.send_signal(signal.SIGKILL)
         _, said = runner.communicate(timeout=600)
     finally:
