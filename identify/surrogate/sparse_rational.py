@@ -263,10 +263,11 @@ def _eliminated(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def moving_mean(values: np.ndarray) -> np.ndarray:
     """Mean over the `NEIGHBOURS` nearest entries along the last axis, fewer at the ends."""
     half, n = NEIGHBOURS // 2, values.shape[-1]
-    total = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+    nothing = np.zeros((*values.shape[:-1], half))
+    padded = np.concatenate([nothing, values, nothing], axis=-1)
     at = np.arange(n)
-    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, n)
-    return (total[..., high] - total[..., low]) / (high - low)
+    count = np.minimum(at + half + 1, n) - np.maximum(at - half, 0)
+    return np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS, axis=-1).sum(axis=-1) / count
 
 
 def _backwards(r: np.ndarray, right: np.ndarray) -> np.ndarray:

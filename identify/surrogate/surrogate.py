@@ -358,7 +358,8 @@ def _piece(
     if shapes is None:
         every = np.linspace(0, len(data.y) - 1, min(DECIDING, len(data.y))).round().astype(int)
         shapes = choose_shapes(Data(own.x, own.y[every], own.weight[every]), region)
-    models = tuple(fit_shape(own, shape) for shape in shapes)
+    fitted = tuple(fit_shape(own, shape) for shape in shapes)
+    models = tuple(model for model in fitted if np.isfinite(model.score)) or fitted
     return Piece(models, certainty(models[0], own, None if noise is None else noise[:, side]))
 
 

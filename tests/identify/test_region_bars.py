@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqsweep.identify.surrogate.sparse_rational import moving_mean
 from seqsweep.identify.surrogate.surrogate import build_surrogate
 
 from ..support.regions import DROOP_INVERTER, PQV, PQV_DROOP, PV, TURBINE, errors_of, unseen
@@ -46,6 +47,12 @@ def test_growing_is_not_caught_where_no_one_or_two_products_help():
     surrogate = build_surrogate(swept_by(noisy(TURBINE, 0.0, 275825, stated=0.0), PQV, 13, 275825), region=PQV)
     assert surrogate.models[0].score < 1e-4
     assert Truth(TURBINE, PQV, 60, 20250).held(surrogate).mean() > 0.9
+
+
+def test_a_mean_over_neighbours_keeps_what_is_infinite_where_it_is():
+    mean = moving_mean(np.array([*[1.0] * 6, np.inf, *[1.0] * 6]))
+    assert np.flatnonzero(np.isinf(mean)).tolist() == list(range(3, 10))
+    assert np.all(mean[np.isfinite(mean)] == 1.0)
 
 
 def test_the_library_s_method_answers_in_the_surrogate_s_place():
