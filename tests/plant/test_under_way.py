@@ -10,7 +10,7 @@ from seqsweep.plant.protocol import Injection, Job, LanePlant, OperatingPoint, P
 from seqsweep.plant.registry import make_plant
 
 IDEAL, LINE = Source(), Source("thevenin", 0.003, 5e-5)
-STEPS, RNG = 400, np.random.default_rng(7)
+STEPS = 400
 
 
 def jobs_of(plant, sources, n):
@@ -67,10 +67,11 @@ def test_an_heir_that_answers_in_its_own_way_is_asked_that_way():
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 0.0])
 def test_agreements_found_while_blocks_come_in_are_those_of_all_windows(tolerance):
     """Decaying responses, one that is never heard, one that becomes infinite; in rounds, against the plain function."""
+    rng = np.random.default_rng(7)
     n_blocks = np.array([1, 2, 3, 5, 8, 4, 4, 7])
     limit = n_blocks * 6
-    decay = np.exp(-np.arange(60)[:, None] * RNG.uniform(0.05, 2.0, (8, 1, 1, 1)))
-    x = (RNG.normal(size=(8, 2, 60, 2)) * decay + 1.0) * np.exp(1j * RNG.normal(size=(8, 2, 1, 2)))
+    decay = np.exp(-np.arange(60)[:, None] * rng.uniform(0.05, 2.0, (8, 1, 1, 1)))
+    x = (rng.normal(size=(8, 2, 60, 2)) * decay + 1.0) * np.exp(1j * rng.normal(size=(8, 2, 1, 2)))
     x[5], x[6, 1, 9:] = 0.0, np.inf
     asked = Agreements(n_blocks, limit, np.full(8, tolerance))
     with np.errstate(invalid="ignore"):
@@ -85,5 +86,6 @@ def test_agreements_found_while_blocks_come_in_are_those_of_all_windows(toleranc
 
 
 def test_norms_are_those_of_each_vector():
-    x = RNG.normal(size=(50, 3, 2)) + 1j * RNG.normal(size=(50, 3, 2))
+    rng = np.random.default_rng(7)
+    x = rng.normal(size=(50, 3, 2)) + 1j * rng.normal(size=(50, 3, 2))
     assert np.array_equal(norms(x), [[np.linalg.norm(row) for row in rows] for rows in x])
