@@ -95,12 +95,6 @@ def _normal(x: float) -> float:
     return 0.5 * (1.0 + erf(x / sqrt(2.0)))
 
 
-def _bound(fact: Any) -> float:
-    """The growth bound of a fact; zero where it has none."""
-    bound = fact.get("growth_bound_per_s") if isinstance(fact, Mapping) else None
-    return float(bound) if isinstance(bound, (int, float)) and isfinite(bound) else 0.0
-
-
 def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
     """The anchor that a table's operating point offers."""
     fact = meta.get("stable_on")
@@ -111,6 +105,12 @@ def anchor_of(meta: Mapping[str, Any], rows: Rows, f1_hz: float) -> Anchor:
         return Anchor(None, None, "")
     grid = grid_of_fact(place, f1_hz)
     return _on(grid, wind_rows(rows, grid).number, _bound(fact))
+
+
+def _bound(fact: Any) -> float:
+    """The growth bound of a fact; zero where it has none."""
+    bound = fact.get("growth_bound_per_s") if isinstance(fact, Mapping) else None
+    return float(bound) if isinstance(bound, (int, float)) and isfinite(bound) else 0.0
 
 
 def recounted(anchor: Anchor, rows: Rows, model: RationalModel) -> Anchor:

@@ -96,19 +96,6 @@ def search_signed(growth_at: Callable[[float], float], largest: float = 4.0) -> 
     return SignedSearch(*best, tuple(trials))
 
 
-def gain_for_margin(m_now: float, m_required: float) -> float:
-    """k = 1 - |Yg| / (m |Y|) = 1 - m_now / m_required, clipped at zero; paper eq. 13.
-
-    Raises
-    ------
-    SeqsweepError
-        If the required margin is no number above 0.
-    """
-    if not 0.0 < m_required < np.inf:
-        raise SeqsweepError(f"the required margin m is {m_required:g}; needed is a number above 0, such as 1.4")
-    return max(0.0, 1.0 - m_now / m_required)
-
-
 class FirstGain(NamedTuple):
     """The gain by the formula.
 
@@ -162,10 +149,25 @@ def first_gain(
     return FirstGain(k, f_r_hz, None if after is None else after.m)
 
 
-def notch(f_hz: np.ndarray, f1_hz: float) -> np.ndarray:
-    """H_NF = (s^2 + w0^2) / (s^2 + 2 xi w0 s + w0^2) at s = 2j pi f (n,), complex; paper eq. 5 with w0 = w1."""
-    x = np.asarray(f_hz, dtype=float) / f1_hz
-    return NOTCH_GAIN * (1.0 - x**2) / (1.0 - x**2 + 2j * NOTCH_DAMPING * x)
+def gain_for_margin(m_now: float, m_required: float) -> float:
+    """k = 1 - |Yg| / (m |Y|) = 1 - m_now / m_required, clipped at zero; paper eq. 13.
+
+    Raises
+    ------
+    SeqsweepError
+        If the required margin is no number above 0.
+    """
+    if not 0.0 < m_required < np.inf:
+        raise SeqsweepError(f"the required margin m is {m_required:g}; needed is a number above 0, such as 1.4")
+    return max(0.0, 1.0 - m_now / m_required)
+
+
+def predicted_crossing(
+    admittance: Admittance, grid: Grid, k: float, f_r_hz: float, band_hz: tuple[float, float]
+) -> Crossing | None:
+    """Critical crossing of the predicted reshaped response; None if none is left above f1."""
+    crossings = bode_crossings(reshaped(admittance, grid, k, f_r_hz), grid, *band_hz)
+    return critical_crossing(crossings, grid.f1_hz)
 
 
 def reshaped(admittance: Admittance, grid: Grid, k: float, f_r_hz: float) -> Admittance:
@@ -199,12 +201,10 @@ def reshaped(admittance: Admittance, grid: Grid, k: float, f_r_hz: float) -> Adm
     return with_damping
 
 
-def predicted_crossing(
-    admittance: Admittance, grid: Grid, k: float, f_r_hz: float, band_hz: tuple[float, float]
-) -> Crossing | None:
-    """Critical crossing of the predicted reshaped response; None if none is left above f1."""
-    crossings = bode_crossings(reshaped(admittance, grid, k, f_r_hz), grid, *band_hz)
-    return critical_crossing(crossings, grid.f1_hz)
+def notch(f_hz: np.ndarray, f1_hz: float) -> np.ndarray:
+    """H_NF = (s^2 + w0^2) / (s^2 + 2 xi w0 s + w0^2) at s = 2j pi f (n,), complex; paper eq. 5 with w0 = w1."""
+    x = np.asarray(f_hz, dtype=float) / f1_hz
+    return NOTCH_GAIN * (1.0 - x**2) / (1.0 - x**2 + 2j * NOTCH_DAMPING * x)
 
 
 def search_gain(

@@ -163,12 +163,6 @@ def _is_the_devices_own(case: Case) -> bool:
     return bool(np.max(np.abs(gain)) < LOUD)
 
 
-def _is_exact(rows: Rows, model: RationalModel) -> bool:
-    """Whether the fit meets every row, with half as many parameters as numbers: eight rows tell no more than that."""
-    overdetermined = len(model.covariance_root) <= rows.data.y.size
-    return bool(overdetermined and np.all(misfits(rows.data, model) < _EXACT))
-
-
 def _open_end(case: Case) -> str:
     """Above the band a loop that is active and whose gain is above one may do anything."""
     if not case.stable:
@@ -211,6 +205,12 @@ def _judges_disagree(case: Case) -> str:
         f"the rows, followed from one to the next, count {case.by_rows} unstable modes, the fit {by_poles}; they "
         f"differ most near {_place(case.model, at.nu_hz)}: measure more points there"
     )
+
+
+def _is_exact(rows: Rows, model: RationalModel) -> bool:
+    """Whether the fit meets every row, with half as many parameters as numbers: eight rows tell no more than that."""
+    overdetermined = len(model.covariance_root) <= rows.data.y.size
+    return bool(overdetermined and np.all(misfits(rows.data, model) < _EXACT))
 
 
 def _swept_grid_denies(case: Case) -> str:

@@ -386,15 +386,6 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def _is_finite(value: Any) -> bool:
-    """Whether every number in it is finite."""
-    if isinstance(value, Mapping):
-        return all(_is_finite(each) for each in value.values())
-    if isinstance(value, list | tuple):
-        return all(_is_finite(each) for each in value)
-    return not isinstance(value, float | np.floating) or isfinite(value)
-
-
 def _missing(entry: Mapping[str, Any], point: PointTuning) -> dict[str, str]:
     """Why an entry holds nulls, by key: what could not be found, and what has no finite value."""
     absent = {key: _why_none(key, point) for key, value in entry.items() if value is None}
@@ -403,6 +394,15 @@ def _missing(entry: Mapping[str, Any], point: PointTuning) -> dict[str, str]:
         key: _OPEN_ENDED for key in ("margin_m_interval", "critical_scale_interval") if (entry[key] or [0])[-1] is None
     }
     return {**absent, **unbounded, **open_ended}
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether every number in it is finite."""
+    if isinstance(value, Mapping):
+        return all(_is_finite(each) for each in value.values())
+    if isinstance(value, list | tuple):
+        return all(_is_finite(each) for each in value)
+    return not isinstance(value, float | np.floating) or isfinite(value)
 
 
 _UNBOUNDED = "it has no finite value: the noise of the table leaves it without a bound"

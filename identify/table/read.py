@@ -163,11 +163,6 @@ def _checksum(error: Exception) -> str:
     return " (CRC of a page is wrong): copy it again" if "CRC" in str(error) else ": copy it again"
 
 
-def _line(error: Exception) -> str:
-    """First line of an error message, short enough for a terminal."""
-    return str(error).partition("\n")[0][:200] or type(error).__name__
-
-
 def _metadata(path: str | Path, file: Any) -> dict[str, Any]:
     """Parse the metadata of an open Parquet file, and see that this code can read it."""
     text = (file.metadata.metadata or {}).get(METADATA_KEY)
@@ -186,6 +181,11 @@ def _metadata(path: str | Path, file: Any) -> dict[str, Any]:
     if meta.get("sha256") != metadata_hash(meta):
         raise TableError(f"{path}: metadata is damaged, it does not match its hash (key 'sha256')")
     return meta
+
+
+def _line(error: Exception) -> str:
+    """First line of an error message, short enough for a terminal."""
+    return str(error).partition("\n")[0][:200] or type(error).__name__
 
 
 def _responses(path: str | Path, file: Any, meta: Mapping[str, Any]) -> Iterator[FrequencyResponse]:

@@ -67,16 +67,6 @@ def _op_ids(meta: Mapping[str, Any]) -> list[str]:
     return [str(point["op_id"]) for point in named if "op_id" in point]
 
 
-def _at_fault(columns: Columns, rows: np.ndarray, text: str) -> list[str]:
-    """No message if no row is at fault, else one: the first row, what is wrong, how many more."""
-    found = np.flatnonzero(rows)
-    if not len(found):
-        return []
-    first = found[0]
-    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-    return [f"{columns['op_id'][first]}, {columns['f_hz'][first]:g} Hz: {text}{more}"]
-
-
 def _operating_points(columns: Columns, meta: Mapping[str, Any]) -> list[str]:
     expected = _op_ids(meta)
     op_id = columns["op_id"]
@@ -112,6 +102,16 @@ def _frequencies(columns: Columns, meta: Mapping[str, Any]) -> list[str]:
         columns, ~(off <= RELATIVE_TOLERANCE * (f1_hz + np.abs(f_hz))), "f_mirror_hz is not 2 f1 - f"
     )
     return violations + _at_fault(columns, f_hz == f1_hz, "the fundamental itself has no admittance")
+
+
+def _at_fault(columns: Columns, rows: np.ndarray, text: str) -> list[str]:
+    """No message if no row is at fault, else one: the first row, what is wrong, how many more."""
+    found = np.flatnonzero(rows)
+    if not len(found):
+        return []
+    first = found[0]
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    return [f"{columns['op_id'][first]}, {columns['f_hz'][first]:g} Hz: {text}{more}"]
 
 
 def _statuses(columns: Columns) -> list[str]:

@@ -215,14 +215,14 @@ def _drive_by_windows(plant: Plant, asked: Driven) -> list[Settled]:
     return [shot.result for shot in shots if shot.result is not None]
 
 
-def _first_windows(baseline: Baseline) -> int:
-    return NOISY_WINDOWS + 1 if baseline.noisy else QUIET_WINDOWS
-
-
 def _blocks_to_go(baseline: Baseline, shot: Shot, done: int) -> int:
     """Blocks until the next window that can be judged is complete."""
     windows_due = max(_first_windows(baseline), done // shot.window.n_blocks + 1)
     return windows_due * shot.window.n_blocks - done
+
+
+def _first_windows(baseline: Baseline) -> int:
+    return NOISY_WINDOWS + 1 if baseline.noisy else QUIET_WINDOWS
 
 
 def _limit_blocks(batch: Batch, baseline: Baseline, shot: Shot) -> int:

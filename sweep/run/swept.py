@@ -83,10 +83,6 @@ def _kept(store: Store, batch: Batch) -> BatchResult:
     return _there(store, store.read(batch))
 
 
-def _seen(store: Store, batch: Batch) -> dict[str, float]:
-    return _there(store, store.condition(batch))
-
-
 def _there(store: Store, content: T | None) -> T:
     if content is None:
         raise OSError(f"{store}: a shard was damaged or removed after it was written; run again to measure it anew")
@@ -128,6 +124,10 @@ def _metadata(
         "configuration": dict(plan.configuration),
         "plant": dict(plan.plant_fingerprint),
     }
+
+
+def _seen(store: Store, batch: Batch) -> dict[str, float]:
+    return _there(store, store.condition(batch))
 
 
 def _condition_metadata(condition: Condition, plant: Plant | PlantCard, seen: dict[str, float]) -> dict[str, Any]:
