@@ -13,8 +13,7 @@ from ...identify.surrogate.surrogate import Surrogate
 from ...plant.errors import SeqsweepError
 from ...tuning.bank.entries import BankEntry
 from ...tuning.farm.on_grids import FarmOnGrids
-from ...tuning.grids.promise import Grid
-from ...tuning.grids.regions import RegionGrid
+from ...tuning.grids.regions import member_of
 from ...tuning.region.loadflow import Situation, named, predicted_on
 from ...tuning.tune import Device, fitted
 
@@ -67,7 +66,7 @@ class Following:
     def device(self, op: int, entry: BankEntry) -> Device:
         """The device at a dispatch on a grid; with the reason why there is none, where there is none."""
         try:
-            member = _member(entry, self.f1_hz)
+            member = member_of(entry.open(self.f1_hz))
             rated = self._bases.get("rated_voltage_v")
             situation = Situation(entry.grid_id, member, entry.source_voltage_pu(self.source_voltage_pu), rated)
             return fitted(predicted_on(self.surrogate, self.powers[op], situation))
@@ -103,7 +102,7 @@ class FarmFollowing:
         """The farm on a grid; with the reason why it does not stand there, where it does not."""
         farm = self.farm.entry
         try:
-            z_ohm, own_pu = _member(entry, farm.f1_hz).at_f1, entry.source_voltage_pu(None)
+            z_ohm, own_pu = member_of(entry.open(farm.f1_hz)).at_f1, entry.source_voltage_pu(None)
             voltage_v = farm.source_voltage_v if own_pu is None else own_pu * farm.voltages_v[farm.source_bus]
             found = self.farm.on(z_ohm, voltage_v)
         except SeqsweepError as error:
@@ -111,12 +110,6 @@ class FarmFollowing:
         if found.proved is None:
             return Device(found.response, problem=found.problem)
         return fitted(found.response, found.proved)
-
-
-def _member(entry: BankEntry, f1_hz: float) -> Grid:
-    """The grid that a device stands on; of a region the one that stands for all."""
-    grid = entry.open(f1_hz)
-    return grid.member if isinstance(grid, RegionGrid) else grid
 
 
 def _nowhere(name: str, f1_hz: float, nu_hz: np.ndarray) -> FrequencyResponse:

@@ -141,8 +141,7 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
     from ...tuning.farm.result import states_json, states_text
     from ...tuning.farm.states import judge_states
 
-    if not 0.0 < margin < inf:
-        raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
+    _check_margin(margin)
     content = read_document(document)
     with naming(document):
         found = judge_states(content, library_beside(document), out, margin, remark)
@@ -215,10 +214,15 @@ def _check_demand(damping: float | None, margin: float | None, probability: floa
         raise WrongInput("a demand asks what would restore it; say by what: --by gain, --by power, or both")
     if damping is not None and not -100.0 < damping < 100.0:
         raise WrongInput(f"--damping {damping:g}: needed is a damping ratio in per cent, such as 5")
-    if margin is not None and not 0.0 < margin < inf:
-        raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
+    if margin is not None:
+        _check_margin(margin)
     if not 0.5 <= probability < 1.0:
         raise WrongInput(f"--probability {probability:g}: needed is a number from 0.5 to below 1, such as 0.95")
+
+
+def _check_margin(margin: float) -> None:
+    if not 0.0 < margin < inf:
+        raise WrongInput(f"--margin {margin:g}: needed is a magnitude margin above 0, such as 1.4")
 
 
 def _demand(damping: float | None, margin: float | None, probability: float, found: Farm) -> Demand | None:

@@ -41,6 +41,14 @@ from .tuned import VerifyError
 
 AGGREGATE = "aggregate"
 
+TOGETHER = "dpmsg-v1"
+"""The plants that can be stepped together on one network."""
+
+_INSTEAD = (
+    "Their verdict does not need that: seqsweep farm FILE judges any devices together; and one device is simulated "
+    "behind its grid by seqsweep tune, then verify"
+)
+
 
 class Stage(NamedTuple):
     """A farm between two switchings: when it begins, what is out of service, the source's scale, and why."""
@@ -190,7 +198,7 @@ class _Setting:
         """What a stage is to the simulation; its load flow puts every device where it stands."""
         names = [device.name for device in entry.devices]
         connected = tuple(aggregated or member.name in names for member in farm.members)
-        size = sum(d.rating * d.count for d in entry.devices) / farm.members[0].factor if aggregated else 1.0
+        size = sum(d.factor for d in entry.devices) / farm.members[0].factor if aggregated else 1.0
         voltages = _voltages(farm, entry, connected, size)
         sizes = (size,) if aggregated else ()
         return NetworkStep(stage.time_s, _circuit(entry), connected, voltages, stage.what, sizes)
@@ -224,13 +232,13 @@ class _Setting:
             table = self.library.table(device.table)
             meta = table.response(device.op or table.op_ids[0]).meta
             power_mw = float(meta["active_power_mw"])
-        return Member(device.name, device.bus, power_mw * 1e6, reactive_mvar * 1e6, device.rating * device.count)
+        return Member(device.name, device.bus, power_mw * 1e6, reactive_mvar * 1e6, device.factor)
 
     def control(self, farm: Together) -> FarmControl | None:
         """Damping control as the story asks for it; None where nothing is asked for."""
         gains = [self.story.k_of(member.name) for member in farm.members]
         if [member.name for member in farm.members] == [AGGREGATE]:
-            of = [(self.story.k_of(d.name), d.rating * d.count) for d in self.devices]
+            of = [(self.story.k_of(d.name), d.factor) for d in self.devices]
             gains = [sum(k * size for k, size in of) / sum(size for _, size in of)]
         if not any(gains) and not self.farm.dampers:
             return None
@@ -292,7 +300,7 @@ def seen_in_step(entry: FarmEntry) -> SeriesRL:
     if entry.damping.x_ohm is not None:
         return SeriesRL(entry.damping.r_ohm or 0.0, entry.damping.x_ohm, entry.f1_hz)
     z = port_impedance(entry.network, [d.bus for d in entry.devices], np.array([2j * np.pi * entry.f1_hz]))[0]
-    sizes = np.array([device.rating * device.count for device in entry.devices])
+    sizes = np.array([device.factor for device in entry.devices])
     seen = complex(sizes @ (z @ sizes) / sizes.sum())
     return series_of(seen, entry.f1_hz)
 
@@ -373,15 +381,6 @@ def _plant_of(devices: Sequence[DeviceEntry], library: Library) -> FarmPlant:
     return plant
 
 
-TOGETHER = "dpmsg-v1"
-"""The plants that can be stepped together on one network."""
-
-_INSTEAD = (
-    "Their verdict does not need that: seqsweep farm FILE judges any devices together; and one device is simulated "
-    "behind its grid by seqsweep tune, then verify"
-)
-
-
 def _named_apart(sections: Mapping[str, Mapping[str, Any]]) -> str:
     """Tables with the plant that each was swept of."""
     return ", ".join(f"{table}: {section['id']}" for table, section in sections.items())
@@ -438,7 +437,7 @@ def _in_step(entry: FarmEntry) -> FarmEntry:
     """The network as one device sees it that stands for all: they feed in step, it meets their mean voltage."""
     sizes: dict[str, float] = {}
     for device in entry.devices:
-        sizes[device.bus] = sizes.get(device.bus, 0.0) + device.rating * device.count
+        sizes[device.bus] = sizes.get(device.bus, 0.0) + device.factor
     total = sum(sizes.values())
     ends = {AGGREGATE: 1.0, **{bus: -size / total for bus, size in sizes.items()}}
     network = Network((*entry.network.branches, Branch(f"{AGGREGATE} in step", ends)))

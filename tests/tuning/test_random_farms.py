@@ -15,7 +15,7 @@ from seqsweep.identify.response import FrequencyResponse
 from seqsweep.plant.inverters.parameters import FormingParameters
 from seqsweep.tuning.farm.document import farm_of
 from seqsweep.tuning.farm.farm import Farm, judged, seen_from_source
-from seqsweep.tuning.farm.locus import follow, turns_behind
+from seqsweep.tuning.farm.locus import follow, unstable_behind
 from seqsweep.tuning.poles import closed_loop_poles
 from seqsweep.tuning.siso import SeriesRL
 
@@ -244,7 +244,8 @@ def test_differential_modes_of_droop_units_are_counted_although_the_pcc_looks_st
     assert farm.judgement.verdict == "unstable"
     stiff = [Branch(-1, 0, 1e-4 * z_g, 1e-3 * z_g), *branches[1:]]
     on_ideal, _ = poles(stiff, c_f, devices, 690.0)
-    assert turns_behind(farm.system) == int(np.sum(on_ideal[np.abs(on_ideal) < 2.0 * np.pi * F_HZ[-1]].real > 0.0)) > 0
+    in_band = on_ideal[np.abs(on_ideal) < 2.0 * np.pi * F_HZ[-1]]
+    assert unstable_behind(farm.system) == int(np.sum(in_band.real > 0.0)) > 0
     alone = closed_loop_poles(fit_response(seen_from_source(farm, F_HZ)), SeriesRL(0.1 * z_g, z_g, 50.0))
     common = alone[np.abs(alone) < 2.0 * np.pi * F_HZ[-1]]
     assert int(np.sum(common.real > 0.0)) < n  # the connection point alone does not show them

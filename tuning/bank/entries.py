@@ -18,7 +18,7 @@ from ...identify.table.format import FORMAT as TABLE_FORMAT
 from ..grids.errors import GridError, NotAGrid, refuse_other_document, refuse_other_format
 from ..grids.open import GRID_SUFFIXES, grid_of_document, open_file, read_document, source_voltage_of
 from ..grids.promise import Grid
-from ..grids.regions import RegionGrid
+from ..grids.regions import RegionGrid, member_of
 from ..grids.tables import ZTable, format_of_json, grid_of_table
 
 MOST_MEMBERS = 100_000
@@ -138,8 +138,7 @@ def check_single(bank: Bank, f1_hz: float, belongs: Callable[[Grid], None] = lam
         With what is wrong with it.
     """
     if len(bank.entries) == 1 and not bank.is_folder:
-        grid = bank.entries[0].open(f1_hz)
-        belongs(grid.member if isinstance(grid, RegionGrid) else grid)
+        belongs(member_of(bank.entries[0].open(f1_hz)))
 
 
 def _of_file(path: Path, place: str) -> tuple[BankEntry, ...]:

@@ -13,7 +13,7 @@ from ...plant.errors import SeqsweepError
 from ..grid_check import check_belongs, grid_warnings
 from ..grids.exclusion import critical_growth, exclusion
 from ..grids.promise import Grid
-from ..grids.regions import RegionGrid
+from ..grids.regions import RegionGrid, member_of
 from ..poles import ClosedLoop
 from ..tune import Device
 from ..verdict import Stability, judge
@@ -92,7 +92,7 @@ def judge_pair(device: Device, entry: BankEntry, bases: Mapping[str, Any], *, el
     """
     try:
         grid = entry.open(device.response.f1_hz)
-        check_belongs(device.response, bases, grid.member if isinstance(grid, RegionGrid) else grid)
+        check_belongs(device.response, bases, member_of(grid))
     except SeqsweepError as error:
         return PairVerdict(entry.grid_id, device.op_id, "failed", reason=str(error), parameters=entry.parameters)
     if device.model is None or device.problem:
@@ -108,7 +108,7 @@ def _judged(
     bases: Mapping[str, Any],
     elements: bool,
 ) -> PairVerdict:
-    member = grid.member if isinstance(grid, RegionGrid) else grid
+    member = member_of(grid)
     stability = judge(model, member, device.rows, device.anchor)
     whole = _of_region(model, grid, stability) if isinstance(grid, RegionGrid) else {}
     loop = stability.closed_loop

@@ -46,6 +46,11 @@ class DeviceEntry:
     count: int
     rating: float
 
+    @property
+    def factor(self) -> float:
+        """The whole entry in multiples of the swept device: rating times count."""
+        return self.rating * self.count
+
 
 @dataclass(frozen=True, slots=True)
 class DampingEntry:

@@ -14,7 +14,7 @@ from .entries import FarmEntry
 from .judge import FarmVerdict, judge_farm
 from .pairs import to_dq
 from .system import System, system_of
-from .tree import reduced, tree_of
+from .tree import reduced, tree_behind_source
 from .units import FAR, Library, ReadTable, Unit, units_of
 
 _NAMED = 3  # devices that one warning names
@@ -128,8 +128,7 @@ def admittance_at_source(farm: Farm, f_hz: np.ndarray) -> np.ndarray:
     system = system_of(farm.system.units, entry.network, entry.f1_hz, [entry.source_bus])
     s = 2j * np.pi * (f_hz - entry.f1_hz)
     if system.tree is not None:
-        tree = tree_of(entry.network, entry.source_bus, entry.network.branches[-1], system.w1_rad_s)
-        return dq_to_pn(to_dq(reduced(tree, s, system.by_bus(s)).y))
+        return dq_to_pn(to_dq(reduced(tree_behind_source(entry), s, system.by_bus(s)).y))
     z = system.impedance(s)
     total = np.linalg.solve(np.eye(z.shape[1]) + z @ system.admittance(s), z)
     at = 2 * system.ports.index(entry.source_bus)

@@ -17,7 +17,7 @@ from ..objections import Decision
 from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
 from ..probability import DECIDED
 from .doubt import doubt_of
-from .locus import Followed, follow
+from .locus import follow, unstable_by
 from .participation import ModeParts, parts_of
 from .system import System
 
@@ -77,18 +77,11 @@ def judge_farm(system: System) -> FarmVerdict:
     believed = poles[np.abs(poles) <= BEYOND * 2.0 * np.pi * system.end_hz]
     by_poles = int(np.sum(believed.real > 0.0))
     locus = follow(system, poles)
-    by_locus = _count(system, locus)
+    by_locus = unstable_by(system, locus)
     in_band = _in_band(system, believed)
     modes = tuple(parts_of(system, pole) for pole in _told(system, in_band))
     verdict, reason, probability = _decided(system, by_locus, by_poles, modes)
     return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, in_band, locus.nu_hz, locus.turns)
-
-
-def _count(system: System, locus: Followed) -> int | None:
-    """Unstable modes by the locus; the other half of the axis is its conjugate, so that a turn counts twice."""
-    if not locus.trusted or any(unit.n_unstable is None for unit in system.units):
-        return None
-    return sum(unit.count * (unit.n_unstable or 0) for unit in system.units) - round(2.0 * locus.total)
 
 
 def _in_band(system: System, poles: np.ndarray) -> np.ndarray:

@@ -170,13 +170,13 @@ class PowerLever:
 
     def _room(self, device: DeviceEntry) -> float:
         low = self.library.surrogate(device.table).region.low[0]
-        return max(0.0, ((device.active_power_mw or 0.0) - low) * device.rating * device.count)
+        return max(0.0, ((device.active_power_mw or 0.0) - low) * device.factor)
 
     def _with(self, entry: FarmEntry, x: np.ndarray) -> FarmEntry:
         devices = list(entry.devices)
         for k, less in zip(self.at, x, strict=True):
             device = devices[k]
-            power = (device.active_power_mw or 0.0) - float(less) / (device.rating * device.count)
+            power = (device.active_power_mw or 0.0) - float(less) / device.factor
             devices[k] = replace(device, active_power_mw=power)
         return replace(entry, devices=tuple(devices))
 
@@ -230,7 +230,7 @@ class PowerLever:
                 v * flow.voltage_v[i].real + a * flow.voltage_v[i].imag
                 for i, (v, a) in enumerate(zip(by_volt, by_angle, strict=True))
             ]
-            change[k] = change[k] - by_power[k] / (device.rating * device.count)
+            change[k] = change[k] - by_power[k] / device.factor
             row.append(np.sum(moved_by(farm.system, shape, change)))
         return np.array(row)
 

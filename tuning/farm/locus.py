@@ -74,17 +74,20 @@ def follow(system: System, poles: np.ndarray) -> Followed:
     return _followed(Chain(system.loop, np.linalg.solve, lambda m: np.angle(np.linalg.eigvals(m))), nu)
 
 
-def turns_behind(system: System) -> int | None:
-    """Unstable modes of a radial farm on an ideal source at its root, by the turns of all factors but the root's.
+def unstable_by(system: System, locus: Followed) -> int | None:
+    """Unstable modes by the locus; the other half of the axis is its conjugate, so that a turn counts twice.
 
-    None where the locus cannot be followed, or a device's own modes are not known.
+    None where the locus is not trusted, or a device's own modes are not known.
     """
-    if any(unit.n_unstable is None for unit in system.units):
+    if not locus.trusted or any(unit.n_unstable is None for unit in system.units):
         return None
+    return sum(unit.count * (unit.n_unstable or 0) for unit in system.units) - round(2.0 * locus.total)
+
+
+def unstable_behind(system: System) -> int | None:
+    """Unstable modes of a radial farm on an ideal source at its root, by the turns of all factors but the root's."""
     chain = Chain(lambda nu: system.tree_factors(nu)[:, :-1], _tree_ratio, _tree_angles)
-    found = _followed(chain, _seeds(system, np.zeros(0, dtype=complex)))
-    own = sum(unit.count * (unit.n_unstable or 0) for unit in system.units)
-    return own - round(2.0 * found.total) if found.trusted else None
+    return unstable_by(system, _followed(chain, _seeds(system, np.zeros(0, dtype=complex))))
 
 
 def _tree_ratio(here: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -26,16 +26,17 @@ from ..anchor import Anchor
 from .entries import FarmEntry, FarmError, NoLoadFlow
 from .farm import judged
 from .loadflow import LoadFlow, on_source, seen_at_f1, solved
-from .locus import turns_behind
+from .locus import unstable_behind
 from .pairs import Pair, determinant, eigenvalues, from_dq, inverse, plus, product, to_dq, turned
 from .system import system_of
-from .tree import Tree, factors, reduced, tree_of
+from .tree import Tree, factors, reduced, tree_behind_source
 from .units import Group, Library, Source, Unit, by_surrogate, check_known, drawing, sources_of, units_at
 
 ALIKE_DEG = 60.0
 """A factor that has turned by less than this at every row, against where it was counted, has the same count."""
 
 _SAME = 1e-6  # relative difference of frequencies that are one
+_SCALES = 2.0 ** -np.arange(8.0)  # multiples of the source's impedance on which a count is tried, the weakest first
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class FarmOnGrids:
     def bases(self) -> dict[str, float]:
         """Its rating as that of one device."""
         of_each = [source.bases.get("rated_power_va", np.nan) for source in self.sources]
-        rated = sum(d.rating * d.count * va for d, va in zip(self.entry.devices, of_each, strict=True))
+        rated = sum(d.factor * va for d, va in zip(self.entry.devices, of_each, strict=True))
         return {"rated_voltage_v": self.entry.voltages_v[self.entry.source_bus], "rated_power_va": float(rated)}
 
     def on(self, z_ohm: complex, source_voltage_v: float) -> OnGrid:
@@ -171,9 +172,8 @@ class FarmOnGrids:
             y, error = _predicted(group, np.abs(flow.voltage_v[group.at]), names, self.nu_hz)
             for k, own, own_error in zip(group.at, y, error, strict=True):
                 device = self.entry.devices[k]
-                factor = device.rating * device.count
-                radius[k] = factor * own_error
-                _add(by_bus, device.bus, turned(from_dq(own), float(np.angle(flow.voltage_v[k])), factor))
+                radius[k] = device.factor * own_error
+                _add(by_bus, device.bus, turned(from_dq(own), float(np.angle(flow.voltage_v[k])), device.factor))
         for unit in self.dampers:
             _add(by_bus, unit.bus, turned(from_dq(evaluate(unit.model, self._s)), unit.angle_rad, unit.factor))
         return Standing(flow, radius, by_bus)
@@ -226,7 +226,7 @@ def farm_on_grids(entry: FarmEntry, library: Library) -> FarmOnGrids:
                 f"{device.name} has one operating point of {device.table}; on other grids its terminal voltage is "
                 "another: give active_power_mw, and a table over several voltages (seqsweep run with a region)"
             )
-    tree = tree_of(entry.network, entry.source_bus, entry.network.branches[-1], 2.0 * np.pi * entry.f1_hz)
+    tree = tree_behind_source(entry)
     sources = tuple(sources_of(entry, library))
     dampers = tuple(damper.unit for damper in judged(entry, library).dampers) if entry.dampers else ()
     nu_hz = _rows([group.surrogate for group in by_surrogate(entry.devices, sources)])
@@ -244,13 +244,10 @@ def _counted(farm: FarmOnGrids, library: Library) -> Counted:
             refusal = refusal or error
             continue
         units = units_at(entry, library, farm.sources, standing.flow)
-        n_unstable = turns_behind(system_of((*units, *farm.dampers), entry.network, entry.f1_hz))
+        n_unstable = unstable_behind(system_of((*units, *farm.dampers), entry.network, entry.f1_hz))
         return Counted(n_unstable, farm._factors(standing))
     assert refusal is not None
     raise refusal
-
-
-_SCALES = 2.0 ** -np.arange(8.0)
 
 
 def _rows(surrogates: Sequence[Surrogate]) -> np.ndarray:

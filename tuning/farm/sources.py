@@ -25,7 +25,7 @@ from ..winding import about
 from .entries import FarmEntry
 from .farm import Farm, judged_with, seen_from_source
 from .pairs import Pair, determinant, diagonal, eigenvalues, inverse, product, to_dq
-from .tree import Tree, reduced, tree_of
+from .tree import Tree, reduced, tree_behind_source
 
 _STEP = 1e-6
 _SAME = 1e-4  # rad/s: two roots closer are one
@@ -83,17 +83,12 @@ def judge_sources(farm: Farm, z_ohm: Sequence[complex]) -> tuple[OnSource, ...]:
     FarmError
         If the network has a loop.
     """
-    tree = _tree(farm.entry)
+    tree = tree_behind_source(farm.entry)
     z = np.asarray(z_ohm, dtype=complex)
     poles = _modes(farm, tree, z)
     counts = _counts(farm, tree, z, poles)
     std = _errors(farm, tree, z, poles)
     return tuple(_one(farm, *parts) for parts in zip(z, counts, poles, std, strict=True))
-
-
-def _tree(entry: FarmEntry) -> Tree:
-    source = entry.network.branches[-1]
-    return tree_of(entry.network, entry.source_bus, source, 2.0 * np.pi * entry.f1_hz)
 
 
 def _source(entry: FarmEntry, z_ohm: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,13 +9,13 @@ seen at the source's bus as L dY T, with T the product of -a b (z Y_c + b^2)^-1 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from math import inf
+from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from ..network.assembly import GROUND, Branch, Network
-from .entries import FarmError
+from .entries import FarmEntry, FarmError
 from .pairs import Pair, diagonal, everywhere, inverse, plus, product, scaled
 
 Sequences = tuple[np.ndarray, np.ndarray]
@@ -69,6 +69,17 @@ class Reduced(NamedTuple):
     y: Pair
     left: Mapping[str, Pair]
     right: Mapping[str, Pair]
+
+
+def tree_behind_source(entry: FarmEntry) -> Tree:
+    """The tree of a radial farm without its source, from the source's bus.
+
+    Raises
+    ------
+    FarmError
+        If the network has a loop.
+    """
+    return tree_of(entry.network, entry.source_bus, entry.network.branches[-1], 2.0 * pi * entry.f1_hz)
 
 
 def tree_of(network: Network, root: str, source: Branch | None, w1_rad_s: float) -> Tree:

@@ -207,14 +207,14 @@ def _unit(
         key=key,
         setpoint=_setpoint(response),
         model=model,
-        factor=entry.rating * entry.count,
+        factor=entry.factor,
         count=entry.count,
         n_unstable=n_unstable,
         angle_rad=float(np.angle(voltage_v)),
         voltage_v=float(abs(voltage_v)),
         power_va=complex(power_va),
         off=_off(response, source, float(abs(voltage_v))),
-        rated_va=entry.rating * entry.count * float(source.bases.get("rated_power_va", np.nan)),
+        rated_va=entry.factor * float(source.bases.get("rated_power_va", np.nan)),
     )
 
 
@@ -262,7 +262,7 @@ def drawing(devices: Sequence[DeviceEntry], sources: Sequence[Source]) -> Draw:
 
     Devices of one surrogate are asked for together: one by one they cost more than the load flow itself.
     """
-    factor = np.array([entry.rating * entry.count for entry in devices])
+    factor = np.array([entry.factor for entry in devices])
     fixed = np.array(
         [
             0.0 if source.response is None else _measured_power(entry, source, source.response)

@@ -63,6 +63,11 @@ class RegionGrid:
         return passive_part(centre + self.growth * (corners - centre))
 
 
+def member_of(grid: Grid | RegionGrid) -> Grid:
+    """The grid itself; of regions the one that stands for all."""
+    return grid.member if isinstance(grid, RegionGrid) else grid
+
+
 # Reading -------------------------------------------------------------------------------------------------------------
 
 
