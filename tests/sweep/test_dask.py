@@ -69,7 +69,7 @@ def test_a_cluster_of_one_slot_does_the_work_itself(tmp_path, cluster):
 
 def test_a_scheduler_that_is_killed_ends_in_one_line_and_the_work_is_kept(tmp_path, cluster):
     scheduler, address = cluster
-    file = slow_campaign(tmp_path)
+    file = slow_campaign(tmp_path, rest_s=0.1)  # some ten seconds: not over before the scheduler is killed
     out = tmp_path / "y.parquet"
     runner = start("run", file, "-o", out, "--backend", "dask", "--scheduler", address)
     try:
