@@ -350,14 +350,13 @@ class Plan:
 
     def shots_of(self, condition: Condition, point: Frequency) -> tuple[Shot, ...]:
         """The experiments of one point, in pairs: at f and at the mirror 2 f1 - f. A probe has a second pair."""
+        return tuple(Shot(condition.op_id, *aim) for aim in self._aims_of(point))
+
+    def _aims_of(self, point: Frequency) -> tuple[Aim, ...]:
         f = point.f_hz
         amplitudes = (1.0, PROBE_AMPLITUDE) if f in self.probes else (1.0,)
         return tuple(
-            Shot(
-                condition.op_id,
-                Injection(self.kind, (Tone(at, part * self.amplitude),)),
-                Window(f, point.window_blocks),
-            )
+            (Injection(self.kind, (Tone(at, part * self.amplitude),)), Window(f, point.window_blocks))
             for part in amplitudes
             for at in (f, 2.0 * self.f1_hz - f)
         )
@@ -404,10 +403,7 @@ class Plan:
         return self._batch(condition, points, self._aims(points))
 
     def _aims(self, points: tuple[Frequency, ...]) -> tuple[tuple[Aim, ...], ...]:
-        if self.signal is not None:
-            return ()
-        shots = [self.shots_of(self.conditions[0], point) for point in points]
-        return tuple(tuple((shot.injection, shot.window) for shot in of_point) for of_point in shots)
+        return () if self.signal is not None else tuple(self._aims_of(point) for point in points)
 
     def _batch(self, condition: Condition, points: tuple[Frequency, ...], aims: tuple[tuple[Aim, ...], ...]) -> Batch:
         batch = Batch(

@@ -118,7 +118,7 @@ class GridSideDamper:
         return DamperStates(_real(a), _real(b), _real(c))
 
     def at_rest(self, v: complex) -> np.ndarray:
-        """States (8,) where the bus's voltage has been ``v`` for long, without current."""
+        """States (8,) where the bus's voltage has been ``v`` (V, d + 1j q) for long, and no current flows yet."""
         w_b, nu = self.bandwidth_rad_s, 1j * self.nu_rad_s
         held, left = (v, 0.0) if self.washout_rad_s else (0.0, v)
         z = np.array([held, w_b * left / (w_b - nu), w_b * left / (w_b + nu), 0.0], dtype=complex)

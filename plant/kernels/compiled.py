@@ -23,7 +23,7 @@ import re
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -62,8 +62,14 @@ def each(kernel: Any, arguments: Sequence[Any], stacked: Sequence[int]) -> None:
     if isinstance(kernel, Kernel):
         kernel.each(arguments, stacked)
         return
+    for one in _one_by_one(arguments, stacked):
+        kernel(*one)
+
+
+def _one_by_one(arguments: Sequence[Any], stacked: Sequence[int]) -> Iterator[list[Any]]:
+    """The arguments of each call, of which those ``stacked`` are entries of theirs."""
     for k in range(len(arguments[stacked[0]])):
-        kernel(*(x[k] if at in stacked else x for at, x in enumerate(arguments)))
+        yield [x[k] if at in stacked else x for at, x in enumerate(arguments)]
 
 
 class intrinsic:
@@ -119,17 +125,15 @@ class Kernel:
 
         Where it can, the interpreter is let go of once for all of them.
         """
-        one_by_one = (
-            [x[k] if at in stacked else x for at, x in enumerate(arguments)] for k in range(len(arguments[stacked[0]]))
-        )
-        first = next(one_by_one)
+        calls = _one_by_one(arguments, stacked)
+        first = next(calls)
         code = self._code(first)
         if isinstance(code, _Loaded):
             code.each(first, len(arguments[stacked[0]]), {at: arguments[at].strides[0] for at in stacked})
             return
         code(first)
-        for each in one_by_one:
-            code(each)
+        for further in calls:
+            code(further)
 
     @functools.cached_property
     def dispatcher(self) -> Any:

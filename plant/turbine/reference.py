@@ -248,15 +248,16 @@ class ReferenceTurbine:
             advance = kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated
         return partial(advance, reactive or None, table)
 
+    def tones_of(self, job: Job) -> list[tuple[float, complex]]:
+        """Tones of a job as (frequency in the dq frame in Hz, power-invariant voltage at time zero in V)."""
+        return [(f_hz - self.f1_hz, v / PHASE_PEAK) for f_hz, v in series_tones(job.injection, job.state.source)]
+
     def _source_table(self, jobs: list[Job]) -> np.ndarray:
         """The jobs' sources over a period as the kernel's table, (n, 4, LANES); of no rows where tones are cheaper."""
         from ..kernels.turbine import LANES
 
         rows_per_s = 2.0 / self.dt_s
-        in_frame = [
-            [(f_hz - self.f1_hz, v / PHASE_PEAK) for f_hz, v in series_tones(job.injection, job.state.source)]
-            for job in jobs
-        ]
+        in_frame = [self.tones_of(job) for job in jobs]
         n_rows = 0 if self.integrator == "emt" else common_period(in_frame, rows_per_s)
         table = np.zeros((n_rows, 4, LANES))
         for lane in range(LANES if n_rows else 0):
@@ -398,9 +399,9 @@ class ReferenceTurbine:
                 n_tones = 0 if len(table) else max(n_tones_of(job.injection) for job in together)
                 columns, _ = self.columns(together, [windows[m] for m in members], block_steps, n_tones)
                 (lanes,) = in_lanes(columns, np.arange(len(together)))
-                yield lanes.ravel(), members, self._kernel_for(together, table), n_tones
+                yield lanes.ravel(), members, self._advance_of(together, table), n_tones
 
-    def _kernel_for(self, jobs: list[Job], table: np.ndarray) -> Callable[..., None]:
+    def _advance_of(self, jobs: list[Job], table: np.ndarray) -> Callable[..., None]:
         """What steps jobs of one kind."""
         source, reactive, circuit = kind_of(jobs[0])
         if circuit is not None:

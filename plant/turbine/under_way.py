@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..injection import series_tones
 from ..kernels.compiled import each
 from ..lanes import n_tones_of
 from ..protocol import Job, Window
@@ -43,17 +42,12 @@ def clockwork_of(
     from ..kernels import turbine as kernel
 
     riders = [
-        Rider(job.state.step, window, window.f_hz - turbine.f1_hz, _tones(turbine, job))
+        Rider(job.state.step, window, window.f_hz - turbine.f1_hz, turbine.tones_of(job))
         for job, window in zip(jobs, windows, strict=True)
     ]
     mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
     places = Places(kernel.LINE_RE, kernel.TAPER_RE, kernel.TONES, kernel.N_TONE_SLOTS, mean_taper)
     return Clockwork(riders, places, n_tones, block_steps, turbine.dt_s)
-
-
-def _tones(turbine: ReferenceTurbine, job: Job) -> list[tuple[float, complex]]:
-    """Tones of a job as (frequency in the dq frame in Hz, power-invariant voltage at time zero in V)."""
-    return [(f - turbine.f1_hz, v / PHASE_PEAK) for f, v in series_tones(job.injection, job.state.source)]
 
 
 def _advance(turbine: ReferenceTurbine, source: str, reactive: bool, n_tones: int, block_steps: int) -> Advance:

@@ -77,6 +77,7 @@ def _with_error(rows: Sequence[Row], linearity: Sequence[float]) -> Iterator[Val
     parts = np.array([row.y for row in rows])
     y = (parts[:, 0::2] + 1j * parts[:, 1::2]).reshape(-1, 2, 2)
     error = ERROR_PER_SPREAD * np.array(linearity) * norms(y.reshape(-1, 4)) / 2.0  # of each complex element
+    # Python's power, as of a single row: numpy's square may round otherwise
     variance = np.array([0.5 * x**2 for x in error.tolist()])
     return values_of(y, unpack_covariance(np.array([row.cov for row in rows])) + variance[:, None, None] * np.eye(8))
 

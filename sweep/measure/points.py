@@ -56,6 +56,7 @@ def rows_of(plant: Plant, heard: Sequence[Heard]) -> list[Row]:
 def _means(windows: Sequence[np.ndarray]) -> np.ndarray:
     """Means (n, 2, 2) of the windows (n_windows, 2) of each experiment, two for a point."""
     single = all(len(x) == 1 for x in windows)
+    # divided, as `mean` does: it decides the sign of a part that is zero
     means = np.concatenate(windows) / 1 if single else np.array([x.mean(axis=0) for x in windows])
     return means.reshape(-1, 2, 2)
 
@@ -124,7 +125,7 @@ def _of_quiet(heard: Sequence[Heard], v: np.ndarray, i: np.ndarray) -> np.ndarra
     """Covariances (n, 8, 8) of points whose windows agreed."""
     tolerance = np.array([of.batch.limits.tolerance for of in heard])
     noise = _of_agreement(norms(i), tolerance[:, None])[:, :, None, None] * np.eye(2)
-    return propagate(v, noise, np.array([of.base.phi1 for of in heard])) + 0.0
+    return propagate(v, noise, np.array([of.base.phi1 for of in heard])) + 0.0  # a zero has no sign
 
 
 def _of_agreement(size: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
@@ -134,6 +135,7 @@ def _of_agreement(size: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
     deviation is its half-width over sqrt(3), shared by the two components.
     """
     error = size * tolerance
+    # Python's power, as of a single point: numpy's square may round otherwise
     return np.array([x**2 for x in error.ravel().tolist()]).reshape(error.shape) / 6.0
 
 

@@ -19,7 +19,7 @@ QUIET_WINDOWS = 2
 """Windows of a quiet shot before any two are compared."""
 
 RUN_BLOCKS = 15
-"""Blocks of one `run_phasors`: all shots are cut at the same places, whatever their neighbours need,
+"""Blocks of one `PhasorRun.go_on`: all shots are cut at the same places, whatever their neighbours need,
 so that not even their rounding depends on the neighbours."""
 
 
@@ -37,7 +37,7 @@ def drive(plant: Plant, asked: Sequence[Driven]) -> list[list[Settled]]:
     Parameters
     ----------
     plant : Plant
-        The device; `PhasorPlant` is used where it is one.
+        The device; what it can do as a `PhasorPlant` or `LanePlant` is used.
     asked : sequence of Driven
         Shots from one baseline or from several.
 
@@ -168,7 +168,7 @@ class _JobByJob:
 
 
 class _OnItsWay:
-    """One shot on its way: where it is, and what was heard of it; its result where it is over."""
+    """One shot of a plant that gives records: where it is, what was heard of it, and its result where it is over."""
 
     def __init__(self, batch: Batch, baseline: Baseline, shot: Shot):
         self.batch, self.baseline, self.of = batch, baseline, shot

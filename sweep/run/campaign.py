@@ -274,12 +274,13 @@ def _counted(responses: Iterable[FrequencyResponse], statuses: dict[str, int]) -
 
 def _refuse_strangers(plan: Plan, folder: Path) -> None:
     """Work of another campaign is not thrown away unasked: a forgotten ``--set`` would cost it."""
-    if not shards.keys(folder):
+    kept = shards.keys(folder)
+    if not kept:
         return
     first = pilots(plan).plans if plan.automatic else (plan,)
     ours = {batch.key for part in first for batch in part.batches()}
-    strangers = shards.keys(folder) - ours
-    if (plan.adaptive is not None or plan.automatic) and len(strangers) < len(shards.keys(folder)):
+    strangers = kept - ours
+    if (plan.adaptive is not None or plan.automatic) and len(strangers) < len(kept):
         return  # shards of the first round are ours: so may be those of further rounds
     if strangers:
         raise RunError(

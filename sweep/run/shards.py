@@ -26,9 +26,8 @@ _values_of = attrgetter(*_COLUMNS)
 _FORMAT = "condition, rows"
 """Part of every check sum: a shard of another form counts as damaged, and is measured anew."""
 
-
 _BETWEEN = "\t"
-"""Between the two parts of a shard: JSON has no such character."""
+"""Between the two parts of a shard, condition and rows: `json.dumps` writes no such character."""
 
 
 class OutputInUse(OSError):

@@ -24,7 +24,8 @@ RESTARTS = 3
 
 
 TOGETHER, MOST_TOGETHER = 4, 16
-"""Batches of a compiled plant that a thread measures together: the longest pairs of shots of so many fill its lanes."""
+"""Fewest and most batches of a compiled plant that a thread measures together, if it does: the longest pairs of shots
+of the fewest fill its lanes."""
 
 FEW = 4
 """A thread is to find so many tasks at least, or the last one keeps the others waiting."""
