@@ -11,8 +11,6 @@ comes from the surrogate of a swept region at its own P, Q and |v| there; every 
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import ROOT, command
 
 from seqsweep.identify.table.read import read_table
 from seqsweep.sweep.bank.following import FarmFollowing
@@ -31,7 +30,7 @@ from seqsweep.tuning.farm.on_grids import farm_on_grids
 from seqsweep.tuning.farm.sources import judge_sources
 from seqsweep.tuning.farm.units import Library
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 POWERS = EXAMPLES / "grids" / "powers.toml"
 REGION = EXAMPLES / "farm" / "turbine.toml"
 STRING = 10
@@ -43,7 +42,7 @@ def swept(campaign: Path) -> Library:
     """A campaign of the examples, swept."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "swept.parquet"
-        subprocess.run([sys.executable, "-m", "seqsweep", "run", campaign, "-o", path, "--quiet"], check=True)
+        command(["run", str(campaign), "-o", str(path)])
         table = read_table(path)
     return Library(lambda name: table)
 

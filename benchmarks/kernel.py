@@ -24,7 +24,6 @@ SOURCES = ("ideal", "thevenin")
 INVERTERS = ("gfm-v1", "gfl-v1")
 INVERTER_BARS = {"gfm-v1": 1.2, "gfl-v1": 1.0}
 BAR_NS = 22.0
-STRETCH_NS = 15.0
 EMT_BAR_NS = 9.0
 AVX2_BAR = 2.2
 AVX2_PAIRS = 3

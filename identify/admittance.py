@@ -6,7 +6,7 @@ import numpy as np
 
 
 def solve_pn(v: np.ndarray, i: np.ndarray, phi1: float) -> tuple[np.ndarray, float]:
-    """Sequence admittance at one frequency from two independent experiments.
+    """Sequence admittance at one frequency from two independent experiments; `solve_each` takes many at once.
 
     Parameters
     ----------

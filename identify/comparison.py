@@ -126,7 +126,7 @@ def compare(a: FrequencyResponse, b: FrequencyResponse, tolerance: float = 1e-4)
     SeqsweepError
         If the fundamentals differ or no row of the first lies in the band of the second.
     """
-    if abs(a.f1_hz - b.f1_hz) > ONE_FUNDAMENTAL * a.f1_hz:
+    if not one_fundamental(a.f1_hz, b.f1_hz):
         raise SeqsweepError(
             f"the fundamentals are {a.f1_hz:.7g} and {b.f1_hz:.7g} Hz: these are not one device, or not on one grid"
         )
@@ -158,6 +158,11 @@ def compare(a: FrequencyResponse, b: FrequencyResponse, tolerance: float = 1e-4)
         bands=bands,
         tolerance=tolerance,
     )
+
+
+def one_fundamental(a_hz: float, b_hz: float) -> bool:
+    """Whether two fundamentals are one (`ONE_FUNDAMENTAL`)."""
+    return abs(a_hz - b_hz) <= ONE_FUNDAMENTAL * a_hz
 
 
 def _at(b: FrequencyResponse, f_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

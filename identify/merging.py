@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..plant.errors import SeqsweepError
-from .comparison import ONE_FUNDAMENTAL
+from .comparison import one_fundamental
 from .response import FrequencyResponse
 from .table.read import Table
 
@@ -67,17 +67,13 @@ def merged(tables: Sequence[Table], names: Sequence[str]) -> tuple[list[Frequenc
 
 
 def _check_one_device(a: Mapping[str, Any], name_a: str, b: Mapping[str, Any], name_b: str) -> None:
-    pairs = [(key, a.get(key), b.get(key)) for key in _ONE_DEVICE if not (key == "f1_hz" and _one_fundamental(a, b))]
+    same_f1 = one_fundamental(a["f1_hz"], b["f1_hz"])
+    pairs = [(key, a.get(key), b.get(key)) for key in _ONE_DEVICE if not (key == "f1_hz" and same_f1)]
     pairs += [(key, a["bases"].get(key), b["bases"].get(key)) for key in _BASES]
     pairs += [(f"[{key}] of the campaign", _section(a, key), _section(b, key)) for key in _SECTIONS]
     for key, in_a, in_b in pairs:
         if in_a != in_b:
             raise MergeError(f"{name_a} and {name_b} are not of one device: {_difference(key, in_a, in_b)}")
-
-
-def _one_fundamental(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Whether the fundamentals are one: of recordings they are measured, and never the same to the last digit."""
-    return abs(a["f1_hz"] - b["f1_hz"]) <= ONE_FUNDAMENTAL * a["f1_hz"]
 
 
 _ABSENT = "not told"  # of a value that one table has and the other has not, be it null

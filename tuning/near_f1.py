@@ -11,15 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..identify.fit.dq_data import DqData
+from ..identify.fit.order import SLOWEST
 from ..identify.fit.rational import RationalModel, evaluate
 from .poles import mode_weight
 from .siso import Grid
 
 NEAREST_HZ = 1.0
 """Rows that begin further away from f1 leave room for more than slow modes."""
-
-SLOWEST = 0.05
-"""Decay (1/s) of the slowest mode of the device's own that is reckoned with."""
 
 EXACT = 1e-6
 """No row is taken to be known better than to this part of itself."""

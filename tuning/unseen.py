@@ -17,14 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit.dq_data import ELEMENTS, DqData
+from ..identify.fit.order import LASTING, NARROWEST
 from ..identify.fit.rational import RationalModel, evaluate, row_slopes
 from .siso import Grid
-
-NARROWEST = 0.005
-"""Damping ratio of the narrowest mode that is looked for between rows."""
-
-LASTING = 0.5
-"""Decay (1/s) of the slowest one."""
 
 SHOWN = 24.0
 """Evidence from which on the rows ask for a mode: noise on eight numbers a row hardly ever does."""

@@ -12,7 +12,8 @@ import numpy as np
 from harness import entry_point
 
 from seqsweep.identify.surrogate.design import Progress
-from seqsweep.identify.surrogate.surrogate import AXES, Region, build_surrogate
+from seqsweep.identify.surrogate.region import AXES, Region
+from seqsweep.identify.surrogate.surrogate import build_surrogate
 from seqsweep.identify.table.read import Table, read_table
 from tests.support.regions import DROOP, Device, errors_of, unseen
 

@@ -129,8 +129,12 @@ def stacked(block: np.ndarray) -> np.ndarray:
 
 def datum_variance(problem: Problem, trial: Trial, linear: Linear) -> float:
     """Variance of a weighted datum, from the misfit."""
-    freedom = linear.misfit.size - order_of(trial.poles) - linear.coefficients.size
-    return max(linear.cost / max(freedom, 1), (1e-3 * problem.floor) ** 2)
+    return max(linear.cost / max(freedom_of(trial, linear), 1), (1e-3 * problem.floor) ** 2)
+
+
+def freedom_of(trial: Trial, linear: Linear) -> int:
+    """Weighted data less the parameters of the fit; not positive where the fit has too many of them."""
+    return linear.misfit.size - order_of(trial.poles) - linear.coefficients.size
 
 
 def pole_std(problem: Problem, trial: Trial) -> np.ndarray:

@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .dq_data import ELEMENTS
-from .least_squares import Linear, Problem, Trial, block_diagonal, stacked
-from .partial_fractions import order_of
+from .least_squares import Linear, Problem, Trial, block_diagonal, freedom_of, stacked
 from .rational import Omitted, omitted_basis
 
 _PLACES = 8  # pairs over the band
@@ -38,9 +37,11 @@ _REGULAR = 1e-10  # directions of the sizes that the misfit shows less of, in th
 
 
 class _Seen(NamedTuple):
-    """What the misfit shows of the terms: directions (q, j) of their sizes, each of unit effect on the rows, and what
-    was found of it (j,); ``effect`` (j,) is the squared effect of a size of one, ``rest`` the sum of squares in no
-    direction, ``freedom`` the number of data in all.
+    """What the misfit shows of the terms.
+
+    ``axes`` (q, j) are directions of their sizes, each of unit effect on the rows, and ``found`` (j,) what was found of
+    them; ``effect`` (j,) is the squared effect of a size of one, ``rest`` the sum of squares in no direction, and
+    ``freedom`` the number of weighted data less that of the fit's parameters.
     """
 
     axes: np.ndarray
@@ -78,14 +79,14 @@ def beside_the_model(
     gram = block_diagonal(np.swapaxes(columns, 1, 2) @ columns) - taken.T @ taken
     left = linear.misfit - directions @ np.tensordot(directions, linear.misfit, axes=([0, 1], [0, 1]))
     shown = np.einsum("enj,en->ej", columns, left).ravel()
-    freedom = max(linear.misfit.size - order_of(trial.poles) - linear.coefficients.size, ELEMENTS)
+    freedom = max(freedom_of(trial, linear), ELEMENTS)
     is_split = np.tile(np.arange(len(scale)) >= 2 * len(terms.poles), ELEMENTS)
     root = _sizes(gram, shown, is_split, linear.cost, freedom)
     return terms._replace(by_fit=response @ (taken @ root), coefficients=-np.tile(scale, ELEMENTS)[:, None] * root)
 
 
 def _places(problem: Problem) -> np.ndarray:
-    """Upper poles (rad/s) over the band."""
+    """Upper poles (8,) of the pairs (rad/s), from the lowest rows to a little beyond the band."""
     end = abs(problem.s[-1])
     sizes = np.geomspace(max(_LOWEST * end, 0.5 * abs(problem.s[0])), 1.3 * end, _PLACES)
     return sizes * complex(-_DAMPING, (1.0 - _DAMPING**2) ** 0.5)

@@ -156,8 +156,12 @@ def row_slopes(model: RationalModel) -> np.ndarray:
 
 def _element_slopes(model: RationalModel, s: np.ndarray) -> np.ndarray:
     """`gradient` of each of dd, dq, qd, qq: (n, 4, k)."""
-    units = np.tile(np.eye(ELEMENTS).reshape(ELEMENTS, 2, 2), (len(s), 1, 1))
-    return gradient(model, np.repeat(s, ELEMENTS), units).reshape(len(s), ELEMENTS, -1)
+    return gradient(model, *_each_element(s)).reshape(len(s), ELEMENTS, -1)
+
+
+def _each_element(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (4n,) and weights (4n, 2, 2) for `gradient` that read dd, dq, qd and qq at each of ``s`` (n,)."""
+    return np.repeat(s, ELEMENTS), np.tile(np.eye(ELEMENTS).reshape(ELEMENTS, 2, 2), (len(s), 1, 1))
 
 
 def row_shares(model: RationalModel, g: np.ndarray) -> np.ndarray:
@@ -199,6 +203,7 @@ def spread(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarra
 
 
 def _smooth_errors(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(n, j - 1): by noise, and by what the model leaves out, both beside it and through its parameters."""
     slopes = gradient(model, s, weight)
     if model.omitted is None:
         return slopes @ model.covariance_root
@@ -208,6 +213,7 @@ def _smooth_errors(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> n
 
 
 def _by_rival(model: RationalModel, s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(n,): zero where there is no rival."""
     if model.rival is None:
         return np.zeros(len(s), dtype=complex)
     return np.sum(weight * (evaluate(model.rival, s) - evaluate(model, s)), axis=(1, 2))
@@ -225,7 +231,6 @@ def with_errors(model: RationalModel, s: np.ndarray, errors: np.ndarray) -> np.n
     Moving the parameters themselves would be worse: neighbouring poles, only combinations of which are known, would
     take Y, of second order, to where no row lets it be.
     """
-    units = np.tile(np.eye(ELEMENTS).reshape(ELEMENTS, 2, 2), (len(s), 1, 1))
-    slopes = spread(model, np.repeat(s, ELEMENTS), units)
+    slopes = spread(model, *_each_element(s))
     y = evaluate(model, s)
     return y + (errors @ slopes.T).reshape(*errors.shape[:-1], *y.shape)

@@ -30,7 +30,7 @@ ENOUGH = 1e-13
 """Left-out error, relative to ||Y||, from which on the arithmetic is all that is left to fit: growing ends."""
 
 _PATIENCE = 6  # growth steps without gain until growing ends
-_PASSES = 2
+_PASSES = 2  # of fits that only rank shapes; those that are kept are fitted anew
 _THINNED, _PROMISING = 4, 8
 """Of two indices at a time, so many shapes are fitted as a whole that are the best at every fourth frequency."""
 
@@ -65,7 +65,7 @@ def _starts(data: Data) -> list[Shape]:
     constant = Shape(((0,) * n_axes,), ())
     first = tuple(sorted(border(constant.numerator, n_axes, 1)))
     linear = Shape((*constant.numerator, *first), first)
-    return [shape for shape in (constant, linear) if shape is constant or _has_freedom(data, linear)]
+    return [constant, linear] if _has_freedom(data, linear) else [constant]
 
 
 def _grow(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> None:

@@ -122,7 +122,7 @@ class Prediction(NamedTuple):
     leverage: np.ndarray
 
 
-def fit_shape(data: Data, shape: Shape, passes: int = PASSES) -> Fitted:
+def fit_shape(data: Data, shape: Shape) -> Fitted:
     """Least squares for given products, at all frequencies at once.
 
     Returns
@@ -130,7 +130,7 @@ def fit_shape(data: Data, shape: Shape, passes: int = PASSES) -> Fitted:
     Fitted
         Coefficients, closed-form leave-one-out errors and the factors that give a leverage.
     """
-    step = _settled(_stacked(data, [shape]), passes)
+    step = _settled(_stacked(data, [shape]), PASSES)
     left_out, leverage = _left_out(step)
     return Fitted(shape, step.numerator, step.denominator, left_out, leverage, step.r, step.r_coupling, step.mixing)
 
@@ -198,7 +198,11 @@ def _error(stack: _Stack, step: _Step) -> np.ndarray:
 
 
 class _Step(NamedTuple):
-    """One linear least squares: its factors, coefficients and residual."""
+    """One linear least squares: its factors, coefficients and residual.
+
+    ``q`` (n, m, k), ``r`` (n, k, k), ``q_coupling`` (n, 4, m, l), ``r_coupling`` (n, l, l), ``mixing`` (n, 4, k, l),
+    ``numerator`` (n, k, 4), ``denominator`` (n, l) and ``residual`` (n, 4, m) of n rows of a `_Stack`.
+    """
 
     q: np.ndarray
     r: np.ndarray
