@@ -27,6 +27,7 @@ from .residue_ranks import Cut, cut_ranks, truncated, uncut
 _ALIKE = 40  # neighbouring rows taken to have the same noise, relative to Y, where the table does not tell
 _RUNS_APART = 10.0  # by so many times their distance two poles may err apart from each other
 _VISIBLE = 1e-3  # a doubt that does not show in the digits that are printed is not printed
+_REPEATED = 1e-8  # singular value of unit rows that read what was cut, below which one of them repeats the others
 _LIGHT = 0.05  # damping ratio below which a doubtful sign of a pole is worth a note
 
 
@@ -118,7 +119,7 @@ def _held_singular(response: np.ndarray, cut: Cut) -> np.ndarray:
     read = cut.rows @ response[response.shape[0] - cut.rows.shape[1] :]
     size = np.linalg.norm(read, axis=1)
     _, singular, along = np.linalg.svd(read / np.where(size > 0.0, size, 1.0)[:, None], full_matrices=False)
-    along = along[singular > 1e-8]
+    along = along[singular > _REPEATED]
     return response - (response @ along.T) @ along
 
 
