@@ -162,14 +162,15 @@ def _found(plan: Plan, plant: Plant) -> Cost:
     of_first = [plan.batch(plan.conditions[0], group) for group in plan.groups()]
     asked = list({batch.key: batch for batch in (of_first[-1], of_first[0])}.values())
     for n in (len(asked), 1):
-        if sum(_work_s(plan, batch, untried, 1) for batch in asked[:n]) <= PATIENCE_S:
-            return _tried(plan, plant, asked[:n], untried)
+        promised_s = [_work_s(plan, batch, untried, 1) for batch in asked[:n]]
+        if sum(promised_s) <= PATIENCE_S:
+            taken = [_taken(plant, *each) for each in zip(asked[:n], promised_s, strict=True)]
+            return _tried(plan, asked[:n], taken, untried)
     return untried
 
 
-def _tried(plan: Plan, plant: Plant, batches: Sequence[Batch], untried: Cost) -> Cost:
+def _tried(plan: Plan, batches: Sequence[Batch], taken: Sequence[tuple[float, Sequence[Row]]], untried: Cost) -> Cost:
     """The cost after one or two batches were measured: what each took beside stepping grows with its rounds."""
-    taken = [_taken(plant, batch) for batch in batches]
     if plan.signal is not None:
         return untried._replace(block_s=0.0, beside_s=taken[0][0])
     rest_s = {f_hz: s for (_, rows), batch in zip(taken, batches, strict=True) for f_hz, s in _rest_s(rows, batch)}
@@ -181,15 +182,13 @@ def _tried(plan: Plan, plant: Plant, batches: Sequence[Batch], untried: Cost) ->
     return known._replace(round_s=round_s, beside_s=max(0.0, beside_s[0] - round_s * rounds[0]))
 
 
-def _taken(plant: Plant, batch: Batch) -> tuple[float, Sequence[Row]]:
-    """Time (s) of a batch, and its rows; where it is quick it is measured again, for the first time is for warmth."""
+def _taken(plant: Plant, batch: Batch, promised_s: float) -> tuple[float, Sequence[Row]]:
+    """Time (s) of a batch, and its rows; where it promises to be quick, of the second: the first may compile."""
     taken_s = float("inf")
-    for _ in range(2):
+    for _ in range(2 if promised_s <= 0.1 * PATIENCE_S else 1):
         begin = time.perf_counter()
         rows = measure(plant, batch).rows
         taken_s = min(taken_s, time.perf_counter() - begin)
-        if taken_s > 0.1 * PATIENCE_S:
-            break
     return taken_s, rows
 
 
@@ -211,12 +210,14 @@ def _block_s(plan: Plan, plant: Plant, state: Any) -> float:
         else:
             plant.run([job], steps * n_blocks)
 
+    drive(1)  # it may compile
     return _slope_s(drive, PROBE_BLOCKS)
 
 
 def _of_plays(plan: Plan, plant: Plant, state: Any) -> tuple[float, float]:
     """Seconds for one block of the four plays together, whose many tones cost more than the device, and for a call."""
     jobs = [Job(state, play.injection(0.0)) for play in plan.plays_of(plan.conditions[0])]
+    plant.run(jobs, 1)  # it may compile
     once_s, longer_s = (_least_s(partial(plant.run, jobs, n * plan.block.steps)) for n in (1, 1 + PROBE_BLOCKS))
     block_s = max(longer_s - once_s, 0.0) / PROBE_BLOCKS
     return block_s, max(once_s - block_s, 0.0)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import time
+from pathlib import Path
 
 
 def pid_of(plant):
@@ -26,6 +28,14 @@ def dies(plant, status):
 
 def kills_itself(plant, number):
     os.kill(os.getpid(), number)
+
+
+def kills_itself_once(plant, scar):
+    """Killed, where no file ``scar`` is there yet; its process, where one is."""
+    if not Path(scar).exists():
+        Path(scar).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
 
 
 def sleeps(plant):

@@ -25,6 +25,7 @@ from ..support.commands import TOP, call, campaign, end_group, is_alive, start, 
 from ..support.questions import (
     dies,
     kills_itself,
+    kills_itself_once,
     no_answer_that_can_be_sent,
     pid_of,
     prints,
@@ -107,6 +108,13 @@ def test_a_plant_that_is_killed_from_outside_while_it_is_made_is_made_once_more(
     assert done.returncode == status, done.stderr
     assert "Traceback" not in done.stderr
     assert ("SIGKILL, twice; the machine may be out of memory" in done.stderr) == (status == 4)
+
+
+def test_a_question_whose_process_is_killed_from_outside_is_asked_once_more(tmp_path, found_by_name):
+    asked = host.ChildHost(BRANCH)
+    assert asked.ask(partial(kills_itself_once, scar=tmp_path / "scar"), 300.0, "late") != os.getpid()
+    with pytest.raises(ChildFailed, match="died: SIGKILL"):
+        asked.ask(partial(kills_itself, number=9), 300.0, "late")
 
 
 def test_an_answer_that_cannot_be_sent_costs_the_child_alone(found_by_name):
