@@ -81,11 +81,12 @@ def farm(
     if table is not None:
         check_new(table, force)
         check_suffix(table, ".parquet")
+    of_one = {"--by": by or None, "--damping": damping, "--table": table, "--diagram": diagram}
     if grids is not None:
-        others = {"--states": states, "--by": by, "--table": table, "--diagram": diagram, "--margin": margin}
-        _check_alone(others)
+        _check_alone("--grids judges many grids", {"--states": states or None, **of_one, "--margin": margin})
         return _all_grids(document, out or [], grids, (output, plot), elements, jobs, force)
     if states:
+        _check_alone("--states judges every switching state", of_one)
         return _all_states(document, out or [], 1.0 if margin is None else margin, output, plot)
     _check_demand(damping, margin, probability, by)
     library, found = _judged(document, out or [])
@@ -154,13 +155,11 @@ def _all_states(document: Path, out: list[str], margin: float, output: Path | No
         plot_states(plot, found)
 
 
-def _check_alone(others: Mapping[str, object]) -> None:
-    """Refuse what asks something of one farm on one source, where many grids are asked about."""
+def _check_alone(many: str, others: Mapping[str, object]) -> None:
+    """Refuse what asks something of one farm on one source, where ``many`` are asked about; None is not given."""
     for option, given in others.items():
-        if given:
-            raise WrongInput(
-                f"--grids judges many grids and {option} asks about one farm on one source: give one of them"
-            )
+        if given is not None:
+            raise WrongInput(f"{many} and {option} asks about one farm on one source: give one of them")
 
 
 def _all_grids(

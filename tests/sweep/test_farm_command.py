@@ -65,10 +65,20 @@ def test_a_bank_of_grids_is_judged_each_with_its_own_load_flow(folder):
     assert "three turbines" in (folder / "map.svg").read_text()
 
 
-def test_what_asks_about_one_source_is_refused_with_a_bank(folder):
-    done = command("farm", folder / "farm.toml", "--grids", folder, "--states")
+@pytest.mark.parametrize(
+    ("many", "one"),
+    [
+        (["--grids", "."], ["--states"]),
+        (["--grids", "."], ["--damping", 5]),
+        (["--grids", "."], ["--margin", 0]),
+        (["--states"], ["--by", "power"]),
+        (["--states"], ["--diagram", "d.svg"]),
+    ],
+)
+def test_what_asks_about_one_source_is_refused_where_many_are_judged(folder, many, one):
+    done = command("farm", folder / "farm.toml", *many, *one)
     assert done.returncode == 2
-    assert "--grids judges many grids and --states asks about one farm" in done.stderr
+    assert f"and {one[0]} asks about one farm on one source" in done.stderr
 
 
 def weak(folder: Path) -> Path:
