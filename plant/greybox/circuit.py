@@ -18,7 +18,7 @@ current and i_g = i + g v_pcc; both together are half their sum on x and half th
 from __future__ import annotations
 
 import cmath
-from math import hypot, pi
+from math import ceil, hypot, log2, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,7 +38,7 @@ def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0)
     from ..kernels.grey import Network
 
     a, converter, _ = _dynamics(p, source, g_s)
-    moved = over_a_step(a, converter, 0.0, dt_s).real
+    moved = over_a_step(a, converter, dt_s)
     if source.kind == "ideal":
         v_pcc, i_g = np.zeros(3), np.array([1.0, 1.0 / p.r_f_ohm, 0.0])
         return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 1.0, -1.0 / p.r_f_ohm, v_pcc, 1.0)
@@ -48,10 +48,32 @@ def network(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0)
     return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 0.0, 0.0, v_pcc, 0.0)
 
 
-def forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float, g_s: float = 0.0) -> np.ndarray:
-    """What one volt of the source at a signed frequency adds over a step to i_L, v_C, i_g and the integral of i_L."""
+def moments(p: TurbineParameters, source: Source, dt_s: float, g_s: float = 0.0) -> np.ndarray:
+    """What powers of the time in a step, as source voltages, add over it; see `moments_over_a_step`."""
     a, _, driven = _dynamics(p, source, g_s)
-    return over_a_step(a, driven, 2j * pi * f_hz, dt_s)[:, 4].copy()
+    return moments_over_a_step(a, driven, dt_s)
+
+
+def forcing(of_powers: np.ndarray, f_hz: Any, dt_s: float) -> np.ndarray:
+    """What one volt of the source at signed frequencies adds over a step to i_L, v_C, i_g and the integral of i_L.
+
+    Parameters
+    ----------
+    of_powers : (N_MOMENTS, 4) float
+        The source's `moments`.
+    f_hz : float or (n,) float
+        Below the sampling frequency.
+
+    Returns
+    -------
+    (4,) or (n, 4) complex
+        Per volt at the start of the step.
+    """
+    half_turns = 2j * dt_s * np.asarray(f_hz)[..., None]
+    total = np.zeros((*np.shape(f_hz), 4), complex)
+    for of_power in of_powers[::-1]:
+        total = total * half_turns + of_power
+    return total
 
 
 def faulted(
@@ -71,7 +93,7 @@ def faulted(
     aa, ab, bb = fault_s
     mean, half = 0.5 * (aa + bb), hypot(0.5 * (aa - bb), ab)
     along, across = (network(p, source, dt_s, g_s) for g_s in (mean + half, mean - half))
-    f_along, f_across = (forcing(p, source, f_hz, dt_s, g_s)[None, :] for g_s in (mean + half, mean - half))
+    f_along, f_across = (forcing(moments(p, source, dt_s, g_s), [f_hz], dt_s) for g_s in (mean + half, mean - half))
     if half == 0.0:
         return along, f_along, None
     turn = cmath.exp(1j * cmath.phase(complex(0.5 * (aa - bb), ab)))
@@ -112,13 +134,46 @@ def _dynamics(p: TurbineParameters, source: Source, g_s: float) -> tuple[np.ndar
     return a, np.array([1.0 / l_c, 0.0, 0.0]), np.array([0.0, 0.0, -1.0 / l_g])
 
 
-def over_a_step(a: np.ndarray, column: np.ndarray, s: complex, dt_s: float) -> np.ndarray:
-    """exp of (states, integral of i_L, an input that goes as exp(s t)) over a step: its first four rows."""
-    from scipy.linalg import expm
+N_MOMENTS = 40
+"""Powers of the time in a step that make up a tone: parts in 1e27 are left out at half the sampling frequency."""
 
-    whole = np.zeros((5, 5), complex)
-    whole[:3, :3] = a
-    whole[3, 0] = 1.0
-    whole[:3, 4] = column
-    whole[4, 4] = s
-    return expm(whole * dt_s)[:4]
+
+def over_a_step(a: np.ndarray, column: np.ndarray, dt_s: float) -> np.ndarray:
+    """exp of (states, integral of i_L, a constant input) over a step: its first four rows, (4, 5)."""
+    return exponential(_augmented(a, column, dt_s, 1))[:4]
+
+
+def moments_over_a_step(a: np.ndarray, column: np.ndarray, dt_s: float) -> np.ndarray:
+    """What inputs (pi t / dt)^m / m!, m = 0, 1, ... add over a step to the states and the integral of i_L.
+
+    Returns
+    -------
+    (N_MOMENTS, 4) float
+        pi^m dt phi_(m+1)(dt A) column (Al-Mohy and Higham 2011, theorem 2.1). A tone of s = j w is the sum of these,
+        times (s dt / pi)^m: none of these powers is large below half the sampling frequency.
+    """
+    return exponential(_augmented(a, column, dt_s, N_MOMENTS))[:4, 4:].T.copy()
+
+
+def _augmented(a: np.ndarray, column: np.ndarray, dt_s: float, n_powers: int) -> np.ndarray:
+    """A step of states, integral of i_L and powers of the time in it, each of which drives the one before."""
+    whole = np.zeros((4 + n_powers, 4 + n_powers))
+    whole[:3, :3], whole[3, 0], whole[:3, 4] = dt_s * a, dt_s, dt_s * column
+    whole[4:, 4:] = pi * np.eye(n_powers, k=1)
+    return whole
+
+
+def exponential(matrix: np.ndarray) -> np.ndarray:
+    """exp of a small real matrix: its Taylor series, of a part of it that is squared again and again.
+
+    scipy's would do, but importing scipy takes a process longer than to simulate ten seconds.
+    """
+    squarings = max(0, ceil(log2(max(float(np.abs(matrix).sum(axis=0).max()), 1e-300))) + 1)
+    part = matrix / 2.0**squarings  # its norm is at most a half: 17 terms are exact
+    total = term = np.eye(len(matrix))
+    for k in range(1, 18):
+        term = term @ part / k
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..protocol import Source
-from .circuit import over_a_step
+from .circuit import moments_over_a_step, over_a_step
 
 if TYPE_CHECKING:
     from ..kernels.grey import Network
@@ -68,7 +68,7 @@ def network(p: InverterCircuit, source: Source, dt_s: float) -> Network:
     from ..kernels.grey import Network
 
     a, converter, _ = _dynamics(p, source)
-    moved = over_a_step(a, converter, 0.0, dt_s).real
+    moved = over_a_step(a, converter, dt_s)
     shunt = _shunt(p)
     part = source.l_h / (p.l_g_h + source.l_h)
     v_pcc = part * shunt + np.array([0.0, 0.0, source.r_ohm - part * (p.r_g_ohm + source.r_ohm)])
@@ -76,10 +76,10 @@ def network(p: InverterCircuit, source: Source, dt_s: float) -> Network:
     return Network(moved[:, :3].copy(), moved[:, 4].copy(), v_pcc, i_g, 1.0 - part, 0.0, shunt, 0.0)
 
 
-def forcing(p: InverterCircuit, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
-    """What one volt of the source at a signed frequency adds over a step to i_L, v_C, i_g and the integral of i_L."""
+def moments(p: InverterCircuit, source: Source, dt_s: float) -> np.ndarray:
+    """What powers of the time in a step, as source voltages, add over it; see `moments_over_a_step`."""
     a, _, driven = _dynamics(p, source)
-    return over_a_step(a, driven, 2j * pi * f_hz, dt_s)[:, 4].copy()
+    return moments_over_a_step(a, driven, dt_s)
 
 
 class Rest(NamedTuple):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SeqsweepError
+from ..kernels.compiled import Fixed
 from ..protocol import Conditions, Job, NotSettled, OperatingPoint, OperatingRange, Source, Trace
 from ..space_vectors import PHASE_PEAK
 from ..states.behind_grid import settled_behind
@@ -28,13 +29,13 @@ VOLTAGE_PU = (0.7, 1.3)
 
 
 @lru_cache(maxsize=64)
-def _network(p: InverterCircuit, source: Source, dt_s: float) -> Any:
-    return inverter_circuit.network(p, source, dt_s)
+def _network(p: InverterCircuit, source: Source, dt_s: float) -> Fixed:
+    return Fixed(inverter_circuit.network(p, source, dt_s))
 
 
-@lru_cache(maxsize=4096)
-def _forcing(p: InverterCircuit, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
-    return inverter_circuit.forcing(p, source, f_hz, dt_s)
+@lru_cache(maxsize=64)
+def _moments(p: InverterCircuit, source: Source, dt_s: float) -> np.ndarray:
+    return inverter_circuit.moments(p, source, dt_s)
 
 
 class SampledInverter(SampledTurbine):
@@ -127,11 +128,11 @@ class SampledInverter(SampledTurbine):
             raise SeqsweepError(f"{self.id} has no fault at the PCC, which lies between two inductances: step the grid")
         return super().trace(state, conditions, n_steps)
 
-    def _network(self, source: Source) -> Any:
+    def _network(self, source: Source) -> Fixed:
         return _network(self.parameters, source, self.dt_s)
 
-    def _forcing(self, source: Source, f_hz: float) -> np.ndarray:
-        return _forcing(self.parameters, source, f_hz, self.dt_s)
+    def _moments(self, source: Source) -> np.ndarray:
+        return _moments(self.parameters, source, self.dt_s)
 
     def _store(self, state: GreyState) -> Any:
         from ..kernels.grey import Store

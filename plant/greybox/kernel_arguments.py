@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import tan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..controllers.signal_map import Map
 from ..damping.control import NOTCH_XI
-from ..protocol import Compensation, Source
+from ..injection import series_tones, turns
+from ..kernels.compiled import Fixed
+from ..protocol import Compensation, Injection, Source
 from ..turbine.parameters import TurbineParameters
 from ..turbine.tone_table import Spectrum, common_period, waveform
 from . import circuit
@@ -20,55 +22,93 @@ from . import circuit
 NO_WAVE = np.zeros((0, 5), complex)
 """The waveform of a source that is made of phasors alone."""
 
+ForcingOf = Callable[[Source, Any], np.ndarray]
 
-WAVES_KEPT = 4
-"""Waveforms of injected signals that are kept: both axes of one, and their negatives."""
+WAVES_KEPT, TONES_KEPT = 4, 128
+"""Injected signals that are kept: waveforms (both axes of one, and their negatives), and those of few tones (one for
+each shot of the largest batch)."""
 
 
-class Waves:
-    """Many tones as a periodic waveform, kept: a signal is driven from many states, in many stretches.
+class Played(NamedTuple):
+    """What a source plays, the fundamental first, as the kernel takes it but for where the phasors stand.
+
+    Attributes
+    ----------
+    f_hz : (n,) list of float
+        Signed frequencies (Hz).
+    volts : (n - 1,) list of complex
+        Phasors at time zero (V) of all but the fundamental.
+    rotations : (n,) complex
+        Turns per step.
+    forcing : (n, 4) complex
+        What a tone adds in a step, per volt at its start.
+    table : (n_rows, 5) complex
+        Further tones as a periodic waveform; `NO_WAVE` where all are among the above.
+    """
+
+    f_hz: list[float]
+    volts: list[complex]
+    rotations: np.ndarray
+    forcing: np.ndarray
+    table: np.ndarray
+
+
+class Signals:
+    """Injections behind a source, kept: each is driven from many states, in many stretches.
 
     Parameters
     ----------
-    dt_s : float
-        Step (s).
+    f1_hz, dt_s : float
+        Fundamental (Hz) and step (s).
     """
 
-    def __init__(self, dt_s: float):
-        self._rate_hz = 1.0 / dt_s
-        self._kept: dict[tuple[tuple[tuple[float, complex], ...], Source], np.ndarray] = {}
+    def __init__(self, f1_hz: float, dt_s: float):
+        self._f1_hz, self._dt_s = f1_hz, dt_s
+        self._kept: dict[tuple[Injection | None, Source], Played] = {}
 
-    def of(self, tones: Spectrum, source: Source, forcing_of: Callable[[Source, float], np.ndarray]) -> np.ndarray:
-        """The waveform as the kernel takes it, (n_rows, 5) complex; `NO_WAVE` where the tones are better summed.
+    def of(self, injection: Injection | None, source: Source, forcing_of: ForcingOf) -> Played:
+        """What ``source`` plays with ``injection``.
 
-        ``forcing_of`` gives for a source and a signed frequency (Hz) the (4,) complex that a tone adds in a step, per
-        volt at its start. It is not kept: it is the plant's own, and would keep the plant.
+        ``forcing_of`` gives for a source and signed frequencies (n,) (Hz) the (n, 4) complex that tones add in a step,
+        per volt at its start. It is not kept: it is the plant's own, and would keep the plant.
         """
-        key = tuple(tones), source
+        key = injection, source
         if key not in self._kept:
-            n_rows = common_period([tones], self._rate_hz) if tones else 0
-            made = self._made(tones, source, forcing_of, n_rows) if n_rows else NO_WAVE
-            self._kept = {key: made, **dict([*self._kept.items()][: WAVES_KEPT - 1])}
+            self._keep(key, self._made(injection, source, partial(forcing_of, source)))
         return self._kept[key]
 
-    def _made(
-        self, tones: Spectrum, source: Source, forcing_of: Callable[[Source, float], np.ndarray], n_rows: int
-    ) -> np.ndarray:
-        added = [(f_hz, phasor * forcing_of(source, f_hz)) for f_hz, phasor in tones]
-        columns = [tones, *([(f_hz, each[k]) for f_hz, each in added] for k in range(4))]
-        return np.stack([waveform(column, self._rate_hz, n_rows, 0) for column in columns], axis=1)
+    def _keep(self, key: tuple[Injection | None, Source], made: Played) -> None:
+        has_table = len(made.table) > 0
+        alike = [other for other, played in self._kept.items() if (len(played.table) > 0) == has_table]
+        for oldest in alike[: max(0, 1 + len(alike) - (WAVES_KEPT if has_table else TONES_KEPT))]:
+            del self._kept[oldest]
+        self._kept[key] = made
+
+    def _made(self, injection: Injection | None, source: Source, forcing_of: Callable[[Any], np.ndarray]) -> Played:
+        tones = list(series_tones(injection, source, partial(circuit.impedance, source)))
+        n_rows = common_period([tones], 1.0 / self._dt_s) if tones else 0
+        summed = [] if n_rows else tones
+        f_hz = [self._f1_hz, *(f_hz for f_hz, _ in summed)]
+        rotations = np.array([turns(f * self._dt_s) for f in f_hz])
+        table = self._table(tones, forcing_of, n_rows) if n_rows else NO_WAVE
+        return Played(f_hz, [volts for _, volts in summed], rotations, forcing_of(f_hz), table)
+
+    def _table(self, tones: Spectrum, forcing_of: Callable[[Any], np.ndarray], n_rows: int) -> np.ndarray:
+        added = forcing_of([f_hz for f_hz, _ in tones])
+        columns = [(f_hz, volts * np.array([1.0, *row])) for (f_hz, volts), row in zip(tones, added, strict=True)]
+        return waveform(columns, 1.0 / self._dt_s, n_rows, 0)
 
 
 @lru_cache(maxsize=64)
-def cached_network(p: TurbineParameters, source: Source, dt_s: float) -> Any:
+def cached_network(p: TurbineParameters, source: Source, dt_s: float) -> Fixed:
     """As `circuit.network`, without a fault."""
-    return circuit.network(p, source, dt_s)
+    return Fixed(circuit.network(p, source, dt_s))
 
 
-@lru_cache(maxsize=4096)
-def cached_forcing(p: TurbineParameters, source: Source, f_hz: float, dt_s: float) -> np.ndarray:
-    """As `circuit.forcing`, without a fault."""
-    return circuit.forcing(p, source, f_hz, dt_s)
+@lru_cache(maxsize=64)
+def cached_moments(p: TurbineParameters, source: Source, dt_s: float) -> np.ndarray:
+    """As `circuit.moments`, without a fault."""
+    return circuit.moments(p, source, dt_s)
 
 
 @lru_cache(maxsize=64)

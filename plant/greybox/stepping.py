@@ -18,7 +18,8 @@ import numpy as np
 from ..controllers.interface import ControllerFault, Sealed
 from ..controllers.signal_map import wire
 from ..errors import SeqsweepError
-from ..injection import series_tones, turns
+from ..injection import turns
+from ..kernels.compiled import Fixed
 from ..operating_range import Asked, refuse_outside
 from ..protocol import (
     Compensation,
@@ -39,7 +40,7 @@ from ..states.steady_state import Clock, Patience, until_periodic, voltage_asked
 from ..turbine import equilibrium as stationary
 from ..turbine.parameters import TurbineParameters
 from . import circuit
-from .kernel_arguments import Waves, cached_fault, cached_forcing, cached_network, cells_of, port_of, wiring_of
+from .kernel_arguments import Signals, cached_fault, cached_moments, cached_network, cells_of, port_of, wiring_of
 from .state import GreyState, Sight
 
 POWER_W = (0.05e6, 1.35e6)
@@ -104,9 +105,10 @@ class SampledTurbine:
         self._delay, self._patience = delay, patience
         self.compensation = block
         self._port = port_of(block, parameters.w1_rad_s, dt_s)
-        self._waves = Waves(dt_s)
+        self._signals = Signals(self.f1_hz, dt_s)
         self.controller = open_controller()
         self._map = wire(self.controller.input_terminals, self.controller.output_terminals, inputs, outputs)
+        self._box = self._as_box()
 
     def _limits(self) -> OperatingRange:
         low, high = VOLTAGE_PU
@@ -207,7 +209,7 @@ class SampledTurbine:
 
     def _terminals(self, state: GreyState) -> tuple[complex, complex]:
         """v_pcc and i_g."""
-        network = self._network(state.source)
+        network = self._network(state.source).argument
         e = state.v_source * turns(self.f1_hz * state.step * self.dt_s)
         v, i_g = network.v_states @ state.x[:3], network.i_states @ state.x[:3]
         return complex(v + network.v_source * e), complex(i_g + network.i_source * e)
@@ -269,8 +271,9 @@ class SampledTurbine:
         from ..kernels import grey as kernel
 
         self.controller = controller = self.controller.renewed()
+        self._box = self._as_box()
         network, store, quantities = self._surroundings(state)
-        box = self._box()
+        box = self._box.argument
         kernel.inform(box, network, store, quantities, state.x, state.v_source, state.energy)
         per = 0.5 * quantities[kernel.V_DC] if self._map.modulated else 1.0
         for part in self._map.outputs:
@@ -340,7 +343,7 @@ class SampledTurbine:
                 fault = self.parameters, start.source, self.f1_hz, self.dt_s, conditions.fault_s
                 network, forcing, skew = cached_fault(*fault)
                 source = source._replace(forcing=forcing)
-            kernel.advance_tracing(box._replace(port=port), source, network, skew, *others)
+            kernel.advance_tracing(box.argument._replace(port=port), source, network, skew, *others)
 
         end = self._advance(Job(start, None), n_steps, go_on, v, i, v_dc, seen, share)
         sync = np.unwrap(np.append(angle_rad, np.angle(seen[1:])))[1:]
@@ -411,7 +414,7 @@ class SampledTurbine:
         x = state.x.copy()
         network, store, quantities = self._surroundings(state)
         ending = np.array([state.energy, kernel.DONE])
-        kernel_of(self._box(), self._tones(job), network, store, state.step, quantities, x, ending, *listening)
+        kernel_of(self._box, self._tones(job), network, store, state.step, quantities, x, ending, *listening)
         energy, how = ending.tolist()
         controller.check()
         if how == kernel.REFUSED:
@@ -424,13 +427,14 @@ class SampledTurbine:
         time_s, memory = step * self.dt_s, controller.memory()
         return replace(state, step=step, time_s=time_s, x=x, energy=energy, memory=memory, sight=None)
 
-    def _box(self) -> Any:
+    def _as_box(self) -> Fixed:
         """The controller as the kernel takes it."""
         from ..kernels import grey as kernel
 
         controller = self.controller
         inputs, outputs = cells_of(controller.inputs.cells), cells_of(controller.outputs.cells)
-        return kernel.Box(controller.addresses, controller.time, inputs, outputs, wiring_of(self._map), self._port)
+        box = kernel.Box(controller.addresses, controller.time, inputs, outputs, wiring_of(self._map), self._port)
+        return Fixed(box)
 
     def _port_at_rest(self, i_g: complex) -> tuple[complex, complex]:
         """States of the band pass that lets the fundamental ``i_g`` through whole."""
@@ -448,11 +452,14 @@ class SampledTurbine:
         quantities[kernel.Q_REF] = state.reactive_var
         return self._network(state.source), store, quantities
 
-    def _network(self, source: Source) -> Any:
+    def _network(self, source: Source) -> Fixed:
         return cached_network(self.parameters, source, self.dt_s)
 
-    def _forcing(self, source: Source, f_hz: float) -> np.ndarray:
-        return cached_forcing(self.parameters, source, f_hz, self.dt_s)
+    def _moments(self, source: Source) -> np.ndarray:
+        return cached_moments(self.parameters, source, self.dt_s)
+
+    def _forcing(self, source: Source, f_hz: Any) -> np.ndarray:
+        return circuit.forcing(self._moments(source), f_hz, self.dt_s)
 
     def _store(self, state: GreyState) -> Any:
         """DC link and rhythm, as the kernel takes them."""
@@ -464,17 +471,11 @@ class SampledTurbine:
         """The source as the kernel takes it, the fundamental first."""
         from ..kernels import grey as kernel
 
-        state, source = job.state, job.state.source
-        injected = list(series_tones(job.injection, source, lambda f_hz: circuit.impedance(source, f_hz)))
-        wave = self._waves.of(injected, source, self._forcing)
-        tones = [(self.f1_hz, state.v_source), *([] if len(wave) else injected)]
-        first_s = state.step * self.dt_s
-        return kernel.Tones(
-            np.array([amplitude * turns(f_hz * first_s) for f_hz, amplitude in tones]),
-            np.array([turns(f_hz * self.dt_s) for f_hz, _ in tones]),
-            np.array([self._forcing(source, f_hz) for f_hz, _ in tones]),
-            wave,
-        )
+        state, first_s = job.state, job.state.step * self.dt_s
+        played = self._signals.of(job.injection, state.source, self._forcing)
+        volts = [state.v_source, *played.volts]
+        phasors = np.array([v * turns(f_hz * first_s) for f_hz, v in zip(played.f_hz, volts, strict=True)])
+        return kernel.Tones(phasors, played.rotations, played.forcing, played.table)
 
     def _silent_port(self) -> str:
         """The first wired output that is not finite, in words."""

@@ -163,10 +163,30 @@ class Kernel:
             kept = _read(path) or _write(path, *_compiled(self.py_func, self._options, arguments))
         if kept and kept[0]:
             return _loaded(*kept, "".join(map(_letters, arguments)))
-        return lambda arguments: self.dispatcher(*arguments)
+        return lambda arguments: self.dispatcher(*map(_plain, arguments))
 
 
 # ---------------------------------------------------------------------- arguments
+
+
+class Fixed:
+    """An argument that is handed over again and again: what a kernel takes of it is found once.
+
+    Its arrays must stay where they are; it keeps them.
+
+    Attributes
+    ----------
+    argument : object
+        The argument itself.
+    """
+
+    def __init__(self, argument: Any):
+        self.argument = argument
+        self._kind, self._letters, self._values = _kind(argument), _letters(argument), tuple(_values(argument))
+
+
+def _plain(argument: Any) -> Any:
+    return argument.argument if isinstance(argument, Fixed) else argument
 
 
 _KINDS = {type(None): "n", bool: "b", int: "i", complex: "c", np.complex128: "c"}
@@ -175,6 +195,8 @@ _LETTERS = {"n": "p", "c": "ff"}
 
 def _kind(argument: Any) -> str:
     """What numba makes of an argument, as far as it can be handed over without it; "?" where it cannot."""
+    if isinstance(argument, Fixed):
+        return argument._kind
     if isinstance(argument, np.ndarray):
         flags = argument.flags
         plain = flags.c_contiguous and flags.aligned and argument.dtype.isnative
@@ -187,6 +209,8 @@ def _kind(argument: Any) -> str:
 
 def _letters(argument: Any) -> str:
     """The values that a kernel takes for an argument: pointers (p), integers (i), floats (f), truths (b)."""
+    if isinstance(argument, Fixed):
+        return argument._letters
     if isinstance(argument, np.ndarray):  # owner, its parent, size, item size, data, shape, strides
         return _ARRAY_HEAD + "iip" + 2 * argument.ndim * "i"
     if isinstance(argument, tuple):
@@ -196,6 +220,8 @@ def _letters(argument: Any) -> str:
 
 
 def _values(argument: Any) -> Sequence[Any]:
+    if isinstance(argument, Fixed):
+        return argument._values
     if isinstance(argument, np.ndarray):
         head = None, None, argument.size, argument.itemsize, argument.ctypes.data
         return (*head, *argument.shape, *argument.strides)
@@ -221,7 +247,7 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], arguments: 
     alone = {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
     dispatcher: Any = numba.njit(**(options | alone))(function)
     try:
-        dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
+        dispatcher.compile(tuple(numba.typeof(_plain(argument)) for argument in arguments))
     except NumbaError:  # it allocates, or is wrong: the ordinary way tells
         return "", b""
     (found,) = dispatcher.overloads.values()

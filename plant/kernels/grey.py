@@ -337,8 +337,9 @@ def _voltage(command, x, v_dc, modulated, store):
     if modulated:
         taken = 0.75 * v_dc * (u * x[I_L].conjugate()).real  # power at the start of the step
         u *= 0.5 * (v_dc + 0.5 * store.dt_s * (_power_in(v_dc, store) - taken) / (store.c_dc_f * v_dc))
-    size, limit = abs(u), v_dc / math.sqrt(3.0)
-    return u * (limit / size) if size > limit else u
+    if 3.0 * (u.real**2 + u.imag**2) <= v_dc**2:  # no root and no hypot on the way of every step
+        return u
+    return u * (v_dc / math.sqrt(3.0) / abs(u))
 
 
 @njit(forceinline=True, error_model="numpy")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
 from ..injection import turns
 
-Spectrum = Sequence[tuple[float, complex]]
-"""Tones by their signed frequency (Hz) and their phasor at time zero."""
+Spectrum = Sequence[tuple[float, Any]]
+"""Tones by their signed frequency (Hz) and their phasor at time zero: one number, or (k,) of what they drive."""
 
 FEWEST = 12
 """Tones below which a sum is cheaper."""
@@ -38,8 +39,8 @@ def common_period(spectra: Iterable[Spectrum], rate_hz: float) -> int:
 
 
 def waveform(spectrum: Spectrum, rate_hz: float, n_rows: int, first: int) -> np.ndarray:
-    """Sum of the tones, (n_rows,) complex, at ``rate_hz`` from sample number ``first`` after time zero on."""
-    lines = np.zeros(n_rows, complex)
+    """Sum of the tones, (n_rows,) or (n_rows, k) complex, at ``rate_hz`` from sample ``first`` after time zero on."""
+    lines = np.zeros((n_rows, *np.shape(spectrum[0][1])), complex)
     for f_hz, phasor in spectrum:
         lines[round(f_hz * n_rows / rate_hz) % n_rows] += phasor * turns(f_hz * first / rate_hz)
-    return np.fft.ifft(lines, norm="forward")
+    return np.fft.ifft(lines, axis=0, norm="forward")

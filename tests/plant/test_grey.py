@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 from seqsweep.plant.check import check_plant
 from seqsweep.plant.controllers.interface import ControllerFault
-from seqsweep.plant.greybox.circuit import forcing, network
+from seqsweep.plant.greybox.circuit import forcing, moments, network
 from seqsweep.plant.greybox.turbine import POSITIONS_KEPT, GreyTurbine
 from seqsweep.plant.protocol import Injection, Job, NotSettled, OperatingPoint, Source, Tone, Window
 from seqsweep.plant.registry import make_plant
@@ -108,7 +108,7 @@ def test_a_step_of_the_circuit_is_the_one_of_an_independent_integrator(source, s
     solved = solve_ivp(slopes, (0.0, step_s), np.concatenate([start.real, start.imag]), "LSODA", rtol=1e-12, atol=1e-12)
     expected = solved.y[:4, -1] + 1j * solved.y[4:, -1]
     net = network(TABLE_I, source, step_s)
-    found = net.phi @ x_0 + net.beta * u + forcing(TABLE_I, source, f_hz, step_s) * e_0
+    found = net.phi @ x_0 + net.beta * u + forcing(moments(TABLE_I, source, step_s), f_hz, step_s) * e_0
     assert np.allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 

@@ -9,7 +9,8 @@ import pytest
 
 from seqsweep.plant.controllers.cigre_abi import DataType, Port
 from seqsweep.plant.controllers.draft import Rating, given_as, told_as
-from seqsweep.plant.greybox.inverter_circuit import InverterCircuit, at_rest, forcing, network
+from seqsweep.plant.greybox.circuit import forcing
+from seqsweep.plant.greybox.inverter_circuit import InverterCircuit, at_rest, moments, network
 from seqsweep.plant.protocol import Conditions, Job, NotSettled, OperatingPoint, Source
 from seqsweep.plant.registry import make_plant
 from seqsweep.sweep.config.file import parse
@@ -52,7 +53,7 @@ def test_step_of_the_circuit_is_its_impedances(source, r_p_ohm):
     dt_s, z = 2e-4, source.r_ohm + 0j
     for f_hz in (-50.0, 3.0, 50.0, 777.0, 2100.0):
         s = 2j * pi * f_hz
-        step, driven = network(p, source, dt_s), forcing(p, source, f_hz, dt_s)
+        step, driven = network(p, source, dt_s), forcing(moments(p, source, dt_s), f_hz, dt_s)
         x = np.linalg.solve(np.exp(s * dt_s) * np.eye(3) - step.phi[:3], driven[:3])
         shunt = 1.0 / (p.r_c_ohm + 1.0 / (s * p.c_f_f)) + 1.0 / p.r_p_ohm + 1.0 / (p.r_f_ohm + s * p.l_f_h)
         z = source.r_ohm + s * source.l_h
