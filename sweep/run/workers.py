@@ -113,7 +113,7 @@ def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str
         with _dask_client(workers.jobs, workers.scheduler) as client:
             yield partial(_on_cluster, client, partial(_in_process, plan.hosting), workers.jobs)
     elif backend == "loky":
-        yield partial(_in_processes, partial(_in_child, plan.hosting), workers.jobs)
+        yield partial(_in_processes, partial(_in_process, plan.hosting), workers.jobs)
     else:
         with host_at_hand(plant, plan.hosting).measuring(workers.jobs, workers.say) as measure:
             yield partial(_in_bundles, measure, workers.jobs, isinstance(plant, PhasorPlant) and releases_gil(plant))
@@ -167,9 +167,10 @@ def _in_threads(work: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterat
 
 
 def _in_processes(work: Work, jobs: int, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
+    """Batches to processes of our own: such a one would wait minutes for a runner that was killed, and goes with it."""
     from joblib import delayed, parallel_config
 
-    with parallel_config(backend="loky", n_jobs=jobs):
+    with parallel_config(backend="loky", n_jobs=jobs, initializer=die_with_parent, initargs=(os.getpid(),)):
         yield from _joblib()(delayed(work)(batch) for batch in batches)
 
 
@@ -238,12 +239,6 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[Any]:
         Client(cluster, set_as_default=True) as client,
     ):
         yield client
-
-
-def _in_child(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
-    """A process of our own would wait minutes for a runner that was killed: it goes with it."""
-    die_with_parent(os.getppid())
-    return _in_process(hosting, batch)
 
 
 def _in_process(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:

@@ -1,7 +1,8 @@
 """kill -9 at any moment, then the same command again: the bytes of an undisturbed run.
 
 ``python -m pytest -m evidence -s tests/sweep/test_kill.py`` kills at hundreds of random moments, of whom it may be;
-``SEQSWEEP_KILLS=10`` in front makes it so many of each kind.
+``SEQSWEEP_KILLS=10`` in front makes it so many of each kind; with ``SEQSWEEP_KILLS_KEPT=FOLDER``, what was done is kept
+there, and a trial that was ended goes on.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ import os
 import random
 import signal
 import time
+from collections import Counter
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -46,22 +49,6 @@ def undisturbed(slow):
         return finished(slow, table, "--jobs", 2, "--set", f"plant.isolate={isolate}")
 
     return bytes_of
-
-
-def killed(path, table, moment, *options, orphans=False):
-    """Start the command, and kill -9 its runner alone when ``moment()`` has come; True if it was still at work."""
-    process = start("run", path, "-o", table, *options)
-    try:
-        wait_for(lambda: moment() or process.poll() is not None)
-        caught = process.poll() is None
-        if caught:
-            os.kill(process.pid, signal.SIGKILL)
-        process.wait(timeout=300)
-        if not orphans:
-            wait_for(lambda: not group_members(process.pid), 120.0)  # workers notice, and go by themselves
-        return caught
-    finally:
-        end_group(process)
 
 
 def killed_while_held(path, table, n_shards, *options):
@@ -131,16 +118,22 @@ def tracks(pid):
     return False
 
 
-def struck(path, table, at_s, dice, *options):
-    """Start the command and kill -9 one of its processes, whichever it be, after ``at_s``; what was hit, if anybody.
+class Strike(NamedTuple):
+    """What came of one command of which a process was to be killed: who was hit, and how long (s) it all took."""
 
-    The command is waited for: where its runner was spared, it may have finished.
+    hit: str
+    took_s: float
+
+
+def struck(path, table, at_s, dice, *options):
+    """Start the command, kill -9 one of its processes, whichever it be, after ``at_s``, and wait for its end.
+
+    Its end is as documented, and it leaves no process: who was to be killed may have been spared, and the command
+    gone on, or be over by then ("nobody").
     """
-    process = start("run", path, "-o", table, *options)
-    hit = None
+    begin, process, hit = time.monotonic(), start("run", path, "-o", table, *options), "nobody"
     try:
-        end = time.monotonic() + at_s
-        wait_for(lambda: time.monotonic() >= end or process.poll() is not None)
+        wait_for(lambda: time.monotonic() >= begin + at_s or process.poll() is not None)
         members = [] if process.poll() is not None else [pid for pid in group_members(process.pid) if not tracks(pid)]
         if members:
             victim = dice.choice(members)
@@ -148,61 +141,78 @@ def struck(path, table, at_s, dice, *options):
             with suppress(ProcessLookupError):
                 os.kill(victim, signal.SIGKILL)
         _, said = process.communicate(timeout=600)
+        wait_for(lambda: not group_members(process.pid), 60.0)
     finally:
         end_group(process)
     assert process.returncode in (0, 3, 4, -signal.SIGKILL), said
     assert "Traceback" not in said
-    return hit
+    return Strike(hit, time.monotonic() - begin)
+
+
+class Ledger(NamedTuple):
+    """Who was killed so far, one a line: a trial that is ended goes on where it was, if it is told where to keep it."""
+
+    path: Path
+
+    @property
+    def hits(self):
+        return Counter(self.path.read_text("utf-8").split() if self.path.exists() else ())
+
+    @property
+    def n_kills(self):
+        return self.hits.total() - self.hits["campaign"]
+
+    def add(self, word):
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(f"{word}\n")
+
+
+def ledger(folder, kind):
+    """The ledger of a kind: in the folder of SEQSWEEP_KILLS_KEPT, else in the one given."""
+    kept = Path(os.environ.get("SEQSWEEP_KILLS_KEPT", folder))
+    kept.mkdir(parents=True, exist_ok=True)
+    return Ledger(kept / f"{kind}.txt")
+
+
+def remains(room):
+    """What commands that are over have left in the folder for temporary files, but for dask's own empty ones."""
+    return [path for path in room.rglob("*") if path.is_file() and "dask-scratch-space" not in path.parts]
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("isolated", [False, True], ids=["here", "isolated"])
 @pytest.mark.parametrize("backend", ["threading", "loky", "dask"])
-def test_whoever_is_killed_the_table_is_the_same(tmp_path, backend, isolated):
-    """Runner, worker, box or what these have started: one of them, at a moment drawn over the whole run."""
-    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 5)], n=40)
-    setting = ["--jobs", 2, "--backend", backend, "--set", f"plant.isolate={str(isolated).lower()}"]
-    begin = time.monotonic()
-    undisturbed = finished(path, tmp_path / "fresh.parquet", *setting, run=call)
-    whole_s = time.monotonic() - begin
-    seed = random.SystemRandom().randrange(1 << 32)
-    dice, hits, runs = random.Random(seed), {"runner": 0, "other": 0}, 0
-    while sum(hits.values()) < N_KILLS:
-        table = tmp_path / f"{runs}.parquet"
-        runs += 1
-        if hit := struck(path, table, dice.uniform(0.0, whole_s), dice, *setting):
-            hits[hit] += 1
-        if not table.exists():
-            finished(path, table, *setting, run=call)
-        assert table.read_bytes() == undisturbed
-        table.unlink()
-    print(f"\n  {backend}, {'isolated' if isolated else 'here'}: seed {seed}, kills {hits}, {runs} campaigns", end="")
+def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend, isolated):
+    """Runner, worker, box or what these have started: one of them, at a moment drawn over the whole run.
 
-
-@pytest.mark.evidence
-@pytest.mark.parametrize("backend", ["threading", "loky"])
-def test_kills_at_random_moments_leave_the_bytes_alone(tmp_path, backend):
-    """Thirty kills of each backend, at moments drawn over the whole run, start and end included.
-
-    A process that loky has started and that has no task yet does not know its runner: it may stay for
-    loky's five minutes. The shards and the lock are not its business.
+    The same command again is struck as well, until a table is there.
     """
-    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 9)], n=60)
-    fresh = tmp_path / "fresh.parquet"
-    setting = ["--jobs", 2, "--backend", backend]
-    begin = time.monotonic()
-    undisturbed = finished(path, fresh, *setting, run=call)
-    whole_s = time.monotonic() - begin
-    dice, kills, runs = random.Random(11), 0, 0
-    while kills < 30:
-        table = tmp_path / f"{runs}.parquet"
-        runs += 1
-        for _ in range(3):  # the same output, killed up to three times
-            end = time.monotonic() + dice.uniform(0.0, whole_s)
-            kills += killed(path, table, lambda end=end: time.monotonic() >= end, *setting, orphans=True)
-            if table.exists():
-                break
-        if not table.exists():
-            finished(path, table, *setting, run=call)
-        assert table.read_bytes() == undisturbed
-    print(f"\n  {backend}: {kills} kills in {runs} campaigns of {whole_s:.1f} s, every table as undisturbed", end="")
+    room = tmp_path / "room"
+    room.mkdir()
+    monkeypatch.setenv("TMPDIR", str(room))
+    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 5)], n=12 if isolated else 40)
+    isolate = ["--set", f"plant.isolate={str(isolated).lower()}"]
+    setting, table = ["--jobs", 2, "--backend", backend, *isolate], tmp_path / "y.parquet"
+    undisturbed = finished(path, tmp_path / "fresh.parquet", *isolate, run=call)
+    seed = random.SystemRandom().randrange(1 << 32)
+    dice, kept, whole_s = random.Random(seed), ledger(tmp_path, f"{backend}-{isolated}"), 5.0
+    while kept.n_kills < N_KILLS:
+        strike = struck(path, table, dice.uniform(0.0, whole_s), dice, *setting)
+        if strike.hit == "nobody":
+            whole_s = strike.took_s  # a machine is not as busy all the time
+        else:
+            whole_s = max(whole_s, strike.took_s)
+            kept.add(strike.hit)
+        if table.exists():
+            kept.add("campaign")
+            assert table.read_bytes() == undisturbed
+            assert not list(tmp_path.glob("y.parquet?*"))
+            table.unlink()
+    for leftover in room.iterdir():
+        os.utime(leftover, (0, 0))  # long ago, for whoever sweeps up
+    assert finished(path, table, *setting, run=call) == undisturbed
+    assert remains(room) == []
+    hits = ", ".join(f"{n} {word}" for word, n in sorted(kept.hits.items()))
+    print(
+        f"\n  {backend}, {'isolated' if isolated else 'here'}: {hits}, every table as undisturbed (seed {seed})", end=""
+    )
