@@ -150,17 +150,22 @@ def struck(path, table, at_s, dice, *options):
 
 
 class Ledger(NamedTuple):
-    """Who was killed so far, one a line: a trial that is ended goes on where it was, if it is told where to keep it."""
+    """Who was killed so far, and each campaign that came to its table, one word a line."""
 
     path: Path
 
     @property
-    def hits(self):
+    def words(self):
         return Counter(self.path.read_text("utf-8").split() if self.path.exists() else ())
 
     @property
     def n_kills(self):
-        return self.hits.total() - self.hits["campaign"]
+        return self.words["runner"] + self.words["other"]
+
+    @property
+    def summary(self):
+        words = self.words
+        return f"{self.n_kills} kills, {words['runner']} of them of the runner, in {words['campaign']} campaigns"
 
     def add(self, word):
         with self.path.open("a", encoding="utf-8") as file:
@@ -190,7 +195,7 @@ def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend,
     room = tmp_path / "room"
     room.mkdir()
     monkeypatch.setenv("TMPDIR", str(room))
-    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1 * k for k in range(1, 5)], n=12 if isolated else 40)
+    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1, 0.2, 0.3], n=6 if isolated else 24)
     isolate = ["--set", f"plant.isolate={str(isolated).lower()}"]
     setting, table = ["--jobs", 2, "--backend", backend, *isolate], tmp_path / "y.parquet"
     undisturbed = finished(path, tmp_path / "fresh.parquet", *isolate, run=call)
@@ -212,7 +217,5 @@ def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend,
         os.utime(leftover, (0, 0))  # long ago, for whoever sweeps up
     assert finished(path, table, *setting, run=call) == undisturbed
     assert remains(room) == []
-    hits = ", ".join(f"{n} {word}" for word, n in sorted(kept.hits.items()))
-    print(
-        f"\n  {backend}, {'isolated' if isolated else 'here'}: {hits}, every table as undisturbed (seed {seed})", end=""
-    )
+    place = "isolated" if isolated else "here"
+    print(f"\n  {backend}, {place}: {kept.summary}, every table as undisturbed (last seed {seed})", end="")
