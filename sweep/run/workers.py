@@ -232,13 +232,21 @@ def _dask_client(jobs: int, scheduler: str | None) -> Iterator[Any]:
                 ) from None
             yield client
         return
+    with _begun(LocalCluster, jobs) as cluster, Client(cluster, set_as_default=True) as client:
+        yield client
+
+
+def _begun(local_cluster: Any, jobs: int) -> Any:
+    """A cluster of our own; where one of its processes is killed while it starts, it is started anew."""
     any_port = {"dashboard_address": ":0"}  # without a dashboard the scheduler takes its port all the same
     settings = {"dashboard_address": None, "scheduler_kwargs": any_port, "silence_logs": 50}
-    with (
-        LocalCluster(n_workers=jobs, threads_per_worker=1, **settings) as cluster,
-        Client(cluster, set_as_default=True) as client,
-    ):
-        yield client
+    said = ""
+    for _ in range(1 + RESTARTS):
+        try:
+            return local_cluster(n_workers=jobs, threads_per_worker=1, **settings)
+        except RuntimeError as error:
+            said = str(error)
+    raise OSError(f"dask could not start its workers {1 + RESTARTS} times in a row: {said}")
 
 
 def _in_process(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:

@@ -10,6 +10,8 @@ from contextlib import suppress
 
 import pytest
 
+from seqsweep.sweep.run import workers
+
 from ..support.commands import (
     call,
     campaign,
@@ -89,3 +91,26 @@ def test_a_scheduler_that_does_not_answer_is_wrong_input(tmp_path):
     done = call("run", campaign(tmp_path), "-o", tmp_path / "y.parquet", "--backend", "dask", *address)
     assert done.returncode == 2
     assert "no dask scheduler answers" in done.stderr
+
+
+class Perishable:
+    """A cluster of which a process is killed while it starts, so many times."""
+
+    def __init__(self, deaths):
+        self.deaths, self.begun = deaths, 0
+
+    def __call__(self, **settings):
+        self.begun += 1
+        if self.begun <= self.deaths:
+            raise RuntimeError("Nanny failed to start.")
+        return self
+
+
+def test_a_worker_killed_while_the_cluster_starts_costs_a_start():
+    assert workers._begun(cluster := Perishable(2), 2) is cluster
+    assert cluster.begun == 3
+
+
+def test_workers_that_never_start_are_a_failure_of_the_machine():
+    with pytest.raises(OSError, match="could not start its workers 4 times in a row: Nanny failed"):
+        workers._begun(Perishable(9), 2)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import os
 import random
+import shlex
 import signal
+import subprocess
 import time
 from collections import Counter
 from contextlib import suppress
@@ -20,11 +22,14 @@ from typing import NamedTuple
 import pytest
 
 from ..support.commands import (
+    HERE,
+    SEQSWEEP,
     call,
     campaign,
     command,
     end_group,
     group_members,
+    is_alive,
     shards_of,
     slow_campaign,
     start,
@@ -105,6 +110,18 @@ def test_a_runner_killed_with_processes_leaves_none_behind(tmp_path):
     killed_while_held(path, table, 3, *setting)
     alone = ["--set", "plant.isolate=false", "--backend", "threading"]
     assert finished(path, table, *setting) == finished(path, fresh, *alone)
+
+
+def test_a_command_outlives_the_shell_that_began_it(tmp_path):
+    """Its processes end with it, and it with nobody: not even where it does all the work itself."""
+    path, table = slow_campaign(tmp_path, n_points=2), tmp_path / "y.parquet"
+    setting = ["--backend", "loky", "--jobs", "1", "--set", "plant.isolate=false"]
+    line = shlex.join([SEQSWEEP, "run", str(path), "-o", str(table), *setting])
+    at_work = f"ls {shlex.quote(str(table))}.parts 2>&1 | grep -q '^[0-9a-f]\\{{64\\}}$'"
+    shell = f"{line} >/dev/null 2>&1 & echo $!; while kill -0 $! && ! {at_work}; do sleep 0.02; done"
+    begun = subprocess.run(["sh", "-c", shell], cwd=HERE, stdout=subprocess.PIPE, check=False)
+    wait_for(lambda: not is_alive(int(begun.stdout)))
+    assert table.exists()
 
 
 N_KILLS = int(os.environ.get("SEQSWEEP_KILLS", "100"))
