@@ -80,27 +80,32 @@ def harmonics(x: np.ndarray, t0_s: float, dt_s: float) -> np.ndarray:
     return np.fft.fft(x) / n * np.exp(-2j * np.pi * ((k * (t0_s / (n * dt_s))) % 1.0))
 
 
-def periodic_window(lines: np.ndarray, n_cycles: int, n_blocks: int, start: float = 0.0) -> complex:
+def periodic_window(
+    lines: np.ndarray, n_cycles: int, n_blocks: int, start: float | np.ndarray = 0.0
+) -> complex | np.ndarray:
     """What a tapered window hears, at its line ``n_cycles`` (whole cycles per window), of a signal
     that repeats every block.
 
     Parameters
     ----------
-    lines : (n,) complex
-        `harmonics` of one block.
+    lines : (..., n) complex
+        `harmonics` of one block, of one signal or of many.
     n_cycles, n_blocks : int
         Signed cycles of the line in the window; blocks in the window.
-    start : float
+    start : float or (...,) float
         Begin of the window, in windows since time zero: the taper begins there, the line at zero.
 
     Notes
     -----
     The signal has lines every ``n_blocks`` bins only; the taper hears those at most two bins away.
     """
-    heard = 0.0 + 0.0j
-    for distance, weight, harmonic in _heard(len(lines), n_cycles, n_blocks):
-        heard += weight * lines[harmonic] * np.exp(-2j * np.pi * ((distance * start) % 1.0))
-    return heard
+    heard = np.zeros(lines.shape[:-1], complex)
+    for distance, weight, harmonic in _heard(lines.shape[-1], n_cycles, n_blocks):
+        x, turn = weight * lines[..., harmonic], np.exp(-2j * np.pi * ((distance * start) % 1.0))
+        # by parts: numpy's product of complex arrays may round otherwise than that of two numbers
+        heard.real += x.real * turn.real - x.imag * turn.imag
+        heard.imag += x.real * turn.imag + x.imag * turn.real
+    return heard[()]
 
 
 def periodic_window_variance(variance: np.ndarray, n_cycles: int, n_blocks: int) -> float:

@@ -108,7 +108,7 @@ class Agreements:
         n = len(n_blocks)
         self._n_blocks, self._limit_blocks, self._tolerance = n_blocks, limit_blocks, tolerance
         self.agreed, self.over = np.zeros(n, bool), np.zeros(n, bool)
-        self._sums, self._windows = np.zeros((2, n, 2, 2), complex)
+        self._sums, self._windows = np.zeros((2, 2, n), complex), np.zeros((n, 2, 2), complex)
         self._n_windows = np.zeros(n, int)
         self._residual, self._growth = np.full(n, np.inf), np.ones(n)
 
@@ -118,18 +118,23 @@ class Agreements:
         ``phasors`` (m, 2, k, 2) complex are the blocks' sums of v and i.
         """
         n_blocks, limit = self._n_blocks[who], self._limit_blocks[who]
-        for block in range(phasors.shape[2]):
-            fresh = phasors[:, :, block]
-            begins = ((done + block) % n_blocks == 0)[:, None, None]
-            self._sums[who] = np.where(begins, fresh, self._sums[who] + fresh)
-            heard = done + block + 1
-            complete = who[(heard % n_blocks == 0) & (heard <= limit) & ~self.over[who]]
+        sums, filled = np.take(self._sums, who, axis=2), done % n_blocks
+        for block, fresh in enumerate(phasors.transpose(2, 1, 3, 0)):
+            begin = np.flatnonzero(filled == 0)
+            sums += fresh
+            sums[..., begin] = fresh[..., begin]
+            filled += 1
+            full = np.flatnonzero(filled == n_blocks)
+            filled[full] = 0
+            complete = full[(done + block < limit[full]) & ~self.over[who[full]]]
             if len(complete):
-                self._compare(complete)
+                self._compare(who[complete], np.ascontiguousarray(sums[..., complete].transpose(2, 0, 1)))
+        self._sums[..., who] = sums
         self.over[who] |= done + phasors.shape[2] >= limit
 
-    def _compare(self, who: np.ndarray) -> None:
-        before, after = self._windows[who], self._sums[who]
+    def _compare(self, who: np.ndarray, after: np.ndarray) -> None:
+        """The window that some shots have just heard to its end, ``after`` (m, 2, 2), against the one before."""
+        before = self._windows[who]
         with np.errstate(divide="ignore", invalid="ignore"):
             size, old_size, change = norms(after), norms(before), norms(after - before)
             relative = np.where(change == 0.0, 0.0, np.where(size != 0.0, change / size, np.inf))

@@ -43,14 +43,15 @@ def phasor_array(sums: np.ndarray, v_unit: float, i_unit: float) -> np.ndarray:
     the mirror.
     """
     n, n_blocks, _, n_lanes = sums.shape
-    re_re, im_im, im_re, re_im = sums.reshape(n, n_blocks, 2, 4, n_lanes).transpose(3, 0, 4, 2, 1)
-    phasors = np.empty((n, n_lanes, 2, n_blocks, 2), complex)
-    np.add(re_re, im_im, out=phasors.real[..., 0])
-    np.subtract(im_re, re_im, out=phasors.imag[..., 0])
-    np.subtract(re_re, im_im, out=phasors.real[..., 1])
-    np.add(im_re, re_im, out=phasors.imag[..., 1])
-    phasors.view(float)[...] *= np.array([v_unit, i_unit])[:, None, None]
-    return phasors.reshape(n * n_lanes, 2, n_blocks, 2)
+    re_re, im_im, im_re, re_im = sums.reshape(n, n_blocks, 2, 4, n_lanes).transpose(3, 1, 2, 0, 4)
+    phasors = np.empty((n_blocks, 2, 2, n, n_lanes), complex)  # in memory as they are heard: block by block, all jobs
+    np.add(re_re, im_im, out=phasors.real[:, :, 0])
+    np.subtract(im_re, re_im, out=phasors.imag[:, :, 0])
+    np.subtract(re_re, im_im, out=phasors.real[:, :, 1])
+    np.add(im_re, re_im, out=phasors.imag[:, :, 1])
+    phasors[:, 0].view(float)[...] *= v_unit
+    phasors[:, 1].view(float)[...] *= i_unit
+    return phasors.reshape(n_blocks, 2, 2, n * n_lanes).transpose(3, 1, 0, 2)
 
 
 class AroundDevice(Protocol):

@@ -7,13 +7,15 @@ experiments side by side that would be as much as their simulation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from .injection import turns
 from .lanes import aligned_zeros, phasor_array
-from .protocol import Window
+from .protocol import Job, Window
+
+T = TypeVar("T")
 
 Advance = Callable[[np.ndarray, np.ndarray], None]
 """Steps flat arrays (n, n_slots LANES) by as many blocks as their sums, (n, n_blocks, 8, LANES), have room for."""
@@ -106,7 +108,7 @@ class LanesUnderWay:
     Parameters
     ----------
     columns : (n_slots, n) array
-        The jobs' columns; they are changed.
+        The jobs' columns.
     clockwork : Clockwork
         What turns in them.
     kinds : (n,) int
@@ -128,12 +130,15 @@ class LanesUnderWay:
         n_states: int,
         units: tuple[float, float],
     ):
-        self._columns, self._clockwork, self._kinds = columns, clockwork, kinds
+        self._columns = np.ascontiguousarray(columns.T).T  # one after the other in memory: so they go into lanes
+        self._clockwork, self._kinds = clockwork, kinds
         self._advance, self._n_states, self._units = advance, n_states, units
 
     def go_on(self, who: np.ndarray, n_blocks: int) -> np.ndarray:
         """`PhasorRun.go_on`."""
-        heard = np.empty((len(who), 2, n_blocks, 2), complex)
+        if len(self._advance) == 1:
+            return self._stretch(self._advance[0], who, n_blocks)
+        heard = np.empty((n_blocks, 2, 2, len(who)), complex).transpose(3, 1, 0, 2)
         for kind, advance in enumerate(self._advance):
             of_kind = np.flatnonzero(self._kinds[who] == kind)
             if len(of_kind):
@@ -157,7 +162,7 @@ def in_lanes(columns: np.ndarray, who: np.ndarray) -> np.ndarray:
     n, n_slots = -(-len(who) // LANES), len(columns)
     lanes = aligned_zeros(n * n_slots, LANES).reshape(n, n_slots, LANES)
     filled = np.append(who, np.full(n * LANES - len(who), who[(n - 1) * LANES]))
-    lanes[:] = columns[:, filled].reshape(n_slots, n, LANES).transpose(1, 0, 2)
+    lanes[:] = columns.T[filled].reshape(n, LANES, n_slots).transpose(0, 2, 1)
     return lanes
 
 
@@ -169,10 +174,18 @@ def standing(states: Sequence[Any], column: Callable[[Any], np.ndarray]) -> np.n
     return columns[:, [number[id(state)] for state in states]]
 
 
+def of_each(jobs: Sequence[Job], found: Callable[[Job], T]) -> list[T]:
+    """What is found of every job; once of those that share injection and source."""
+    different = {(id(job.injection), id(job.state.source)): job for job in jobs}
+    known = {key: found(job) for key, job in different.items()}
+    return [known[id(job.injection), id(job.state.source)] for job in jobs]
+
+
 def _set(columns: np.ndarray, slot: int, who: np.ndarray | slice, values: np.ndarray) -> None:
     columns[slot, who], columns[slot + 1, who] = values.real, values.imag
 
 
 def _turned(cycles: np.ndarray) -> np.ndarray:
-    """`turns` of every number; not by numpy, whose sine rounds otherwise."""
-    return np.array([turns(x) for x in cycles.tolist()], complex)
+    """`turns` of every number, of equal ones once; not by numpy, whose sine rounds otherwise."""
+    different, which = np.unique(cycles, return_inverse=True)
+    return np.array([turns(x) for x in different.tolist()], complex)[which]

@@ -26,7 +26,7 @@ from ..kernels.compiled import each
 from ..lanes import n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, PhasorRun, Phasors, Rating, Record, Source, Trace, Window
 from ..turbine.tone_table import FEWEST, common_period, waveform
-from ..under_way import Clockwork, LanesUnderWay, Places, Rider, in_lanes, standing
+from ..under_way import Clockwork, LanesUnderWay, Places, Rider, in_lanes, of_each, standing
 from .behind_network import Bases, NetworkLanes, bases_of, direct_line, feeding, no_load
 from .equilibrium import References
 
@@ -255,8 +255,8 @@ class LaneDriven(ABC):
 
         x = standing([job.state for job in jobs], partial(self._column, kernel.array_slots(max(tones, 1))))
         riders = [
-            Rider(job.state.step, window, window.f_hz - self.f1_hz, self._tones(job))
-            for job, window in zip(jobs, windows, strict=True)
+            Rider(job.state.step, window, window.f_hz - self.f1_hz, of_tones)
+            for job, window, of_tones in zip(jobs, windows, of_each(jobs, self._tones), strict=True)
         ]
         mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
         places = Places(kernel.LINE, kernel.TAPER, kernel.TONES, kernel.N_TONE_SLOTS, mean_taper)

@@ -11,7 +11,6 @@ import cmath
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 from math import ceil, pi, sqrt
 from typing import TYPE_CHECKING
 
@@ -41,7 +40,7 @@ from ..protocol import (
     Window,
 )
 from ..space_vectors import PHASE_PEAK
-from ..under_way import Clockwork, in_lanes, standing
+from ..under_way import Clockwork, in_lanes, of_each, standing
 from . import behind_network as network
 from . import equilibrium as stationary
 from .asked import kind_of, left_to_d, order_of, power_of
@@ -173,11 +172,11 @@ class ReferenceTurbine:
         if self._compensated:
             kept += range(kernel.NOTCH, kernel.N_STATES)
         around = network.surroundings(Job(state, None), self.parameters, self.dt_s) if behind == "network" else None
-        return poles_of(self.run, Chart(state, kept, around), self.dt_s)
+        return poles_of(self._stepped, Chart(state, kept, around), self.dt_s)
 
     def _certify(self, state: TurbineState) -> None:
         steps = max(1, round(1.0 / (self.f1_hz * self.dt_s)))
-        ((end, _),) = self.run([Job(state, None)], steps)
+        ((end, _),) = self._stepped([Job(state, None)], steps)
         residual = np.max(np.abs(end.values - state.values) / np.maximum(np.abs(state.values), 1.0))
         worst = self.linearise(state)[0]
         if worst.real > 0.0:
@@ -279,15 +278,20 @@ class ReferenceTurbine:
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
+        stepped = zip(jobs, self._stepped(jobs, n_steps), strict=True)
+        return [(end, self._record(job.state, samples)) for job, (end, samples) in stepped]
+
+    def _stepped(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, np.ndarray]]:
+        """Every job ``n_steps`` further, and its samples (n_steps, 4) on the way."""
         from ..kernels import turbine as kernel
 
-        results: list[tuple[TurbineState, Record]] = [None] * len(jobs)  # type: ignore[list-item]
+        results: list[tuple[TurbineState, np.ndarray]] = [None] * len(jobs)  # type: ignore[list-item]
         for lanes, members, advance, n_tones in self._batches(jobs, [Window(0.0, 1)] * len(jobs), 1):
             samples = np.empty((n_steps, 4, kernel.LANES))
             advance(lanes, n_tones, self.parameters, self.dt_s, 1, kernel.V_RE, samples)
             ends = self._ends(lanes, [jobs[m] for m in members], n_steps, advance)
             for lane, (member, end) in enumerate(zip(members, ends, strict=True)):
-                results[member] = end, self._record(jobs[member].state, samples[:, :, lane])
+                results[member] = end, samples[:, :, lane]
         return results
 
     def run_phasors(
@@ -418,13 +422,12 @@ class ReferenceTurbine:
         clockwork = clockwork_of(self, jobs, windows, block_steps, n_tones)
         clockwork.set_rotations(x)
         clockwork.set_phasors(x, np.arange(len(jobs)))
-        for lane, job in enumerate(jobs):
+        for lane, (job, ratios) in enumerate(zip(jobs, of_each(jobs, self._shunt_voltage_ratios), strict=True)):
             if job.state.source.circuit is not None:
                 network.set_sources(x[:, lane], self._forced(job), n_tones, job.state.time_s, 0.5 * self.dt_s)
                 continue
-            for tone, (f_hz, _) in enumerate(islice(series_tones(job.injection, job.state.source), n_tones)):
-                slot = kernel.TONES + kernel.N_TONE_SLOTS * tone + 4
-                set_complex(x[:, lane], slot, self._shunt_voltage_ratio(f_hz))
+            for tone, ratio in enumerate(ratios[:n_tones]):
+                set_complex(x[:, lane], kernel.TONES + kernel.N_TONE_SLOTS * tone + 4, ratio)
         return x, clockwork
 
     def _column(self, n_slots: int, state: TurbineState) -> np.ndarray:
@@ -456,6 +459,10 @@ class ReferenceTurbine:
         from .farm import TurbineFarm
 
         return TurbineFarm(self, members, dampers)
+
+    def _shunt_voltage_ratios(self, job: Job) -> list[complex]:
+        """v_C / v_pcc at the tones of a job."""
+        return [self._shunt_voltage_ratio(f_hz) for f_hz, _ in series_tones(job.injection, job.state.source)]
 
     def _shunt_voltage_ratio(self, f_hz: float) -> complex:
         """v_C / v_pcc of the shunt branch at a signed stationary frequency."""

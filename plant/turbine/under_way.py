@@ -11,7 +11,7 @@ from ..kernels.compiled import each
 from ..lanes import n_tones_of
 from ..protocol import Job, Window
 from ..space_vectors import PHASE_PEAK
-from ..under_way import Advance, Clockwork, LanesUnderWay, Places, Rider
+from ..under_way import Advance, Clockwork, LanesUnderWay, Places, Rider, of_each
 from .asked import kind_of, order_of
 from .tone_table import FEWEST
 
@@ -42,8 +42,8 @@ def clockwork_of(
     from ..kernels import turbine as kernel
 
     riders = [
-        Rider(job.state.step, window, window.f_hz - turbine.f1_hz, turbine.tones_of(job))
-        for job, window in zip(jobs, windows, strict=True)
+        Rider(job.state.step, window, window.f_hz - turbine.f1_hz, tones)
+        for job, window, tones in zip(jobs, windows, of_each(jobs, turbine.tones_of), strict=True)
     ]
     mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
     places = Places(kernel.LINE_RE, kernel.TAPER_RE, kernel.TONES, kernel.N_TONE_SLOTS, mean_taper)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -35,7 +34,7 @@ def compared(row: Row, probe: Row, noise: float) -> Row:
     y = row.admittance
     squared = float(np.linalg.norm(y - probe.admittance) ** 2)
     spread = squared - noise if squared > SIGNIFICANT * noise else 0.0
-    return replace(row, linearity=float(np.sqrt(spread) / np.linalg.norm(y)))
+    return row._replace(linearity=float(np.sqrt(spread) / np.linalg.norm(y)))
 
 
 def judged(rows: Sequence[Row], limit: float) -> list[Row]:
@@ -85,12 +84,12 @@ def _with_error(rows: Sequence[Row], linearity: Sequence[float]) -> Iterator[Val
 def _judged(row: Row, linearity: float, limit: float, values: Values) -> Row:
     y, cov = values
     if row.status != "ok" or linearity <= limit:
-        return replace(row, y=y, cov=cov, linearity=linearity)
+        return row._replace(y=y, cov=cov, linearity=linearity)
     reason = (
         f"the device is not linear at {row.amplitude_pu:g} pu: Y depends on the amplitude by {linearity:.2g} of its "
         f"size, {limit:g} is allowed (sweep.nonlinear_above); take another injection.amplitude_pu"
     )
-    return replace(row, y=y, cov=cov, linearity=linearity, status="nonlinear", reason=reason)
+    return row._replace(y=y, cov=cov, linearity=linearity, status="nonlinear", reason=reason)
 
 
 def covariance_of(row: Row) -> np.ndarray:

@@ -7,7 +7,6 @@ a status; a plant that raises costs the points that made it raise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
@@ -107,7 +106,7 @@ def _of_signal(plant: Plant, batch: Batch, base: Baseline) -> list[Row]:
     heard = drive_broadband(plant, batch, base)
     points = [Heard(batch, point, pair, base) for point, pair in zip(batch.points, heard.pairs, strict=True)]
     rows = rows_of(plant, points)
-    return [replace(row, linearity=float(x)) for row, x in zip(rows, heard.distortion, strict=True)]
+    return [row._replace(linearity=float(x)) for row, x in zip(rows, heard.distortion, strict=True)]
 
 
 def _of_point(solved: Sequence[tuple[Heard, Row]]) -> Row:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import isfinite, nan
 from typing import NamedTuple
 
@@ -70,8 +69,7 @@ def _judged(heard: Heard, finite: bool, status: str, reason: str) -> Row:
     """The row of a point before it is solved."""
     residual = max(s.residual for s in heard.pair) if finite else nan
     bound_per_s, lasted_s = proven(heard.batch, heard.point, heard.pair)
-    return replace(
-        blank_row(heard.batch, heard.point, status, reason),
+    return blank_row(heard.batch, heard.point, status, reason)._replace(
         residual=residual if isfinite(residual) else nan,
         growth_bound_per_s=bound_per_s,
         disturbed_s=lasted_s,
@@ -84,7 +82,7 @@ def _solved(heard: Sequence[Heard], rows: Sequence[Row], v: np.ndarray, i: np.nd
         y, cond_v = solve_each(v, i, np.array([of.base.phi1 for of in heard]))
     except np.linalg.LinAlgError as error:
         if len(heard) == 1:
-            return [replace(rows[0], status="ill_conditioned", reason=str(error), residual=nan)]
+            return [rows[0]._replace(status="ill_conditioned", reason=str(error), residual=nan)]
         one_by_one = [slice(k, k + 1) for k in range(len(heard))]
         return [row for k in one_by_one for row in _solved(heard[k], rows[k], v[k], i[k])]
     values = values_of(y, _covariances(heard, y, v, i))
@@ -95,12 +93,12 @@ def _filled(heard: Heard, row: Row, cond_v: float, values: Values) -> Row:
     """The row with its result and what it rests on."""
     n_windows = min(len(s.v) for s in heard.pair)
     y, cov = values
-    row = replace(
-        row, y=y, cov=cov, cond_v=cond_v, n_periods=row.n_periods * n_windows, window_s=row.window_s * n_windows
+    row = row._replace(
+        y=y, cov=cov, cond_v=cond_v, n_periods=row.n_periods * n_windows, window_s=row.window_s * n_windows
     )
     if cond_v <= COND_LIMIT:
         return row
-    return replace(row, status="ill_conditioned", reason=f"cond(V) is {cond_v:.2g}: the two experiments are nearly one")
+    return row._replace(status="ill_conditioned", reason=f"cond(V) is {cond_v:.2g}: the two experiments are nearly one")
 
 
 # How well they are known

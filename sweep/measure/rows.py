@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,14 +13,16 @@ from ...identify.table.format import N_COV, pack_covariance
 from ..excitation.frequencies import Frequency
 from ..plan import Batch
 
+N_Y = 8
+"""Numbers of ``y``."""
+
 UNKNOWN = (nan,) * N_COV
 
 Values = tuple[tuple[float, ...], tuple[float, ...]]
 """``y`` and ``cov`` of a row."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """One row of the table, but for its operating point.
 
     Attributes
@@ -72,7 +75,7 @@ def blank_row(batch: Batch, point: Frequency, status: str, reason: str) -> Row:
     """A row without a result: what was asked stands, what was measured is NaN."""
     return Row(
         f_hz=point.f_hz,
-        y=(nan,) * 8,
+        y=(nan,) * N_Y,
         cov=UNKNOWN,
         status=status,
         reason=reason,

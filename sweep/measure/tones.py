@@ -90,7 +90,7 @@ class _Rounds:
         self._of = [(one.batch, one.baseline, shot) for one in asked for shot in one.shots]
         self._limit_blocks = np.array([_limit_blocks(*of) for of in self._of])
         self._noisy = np.array([baseline.noisy for _, baseline, _ in self._of])
-        self._unperturbed = _unperturbed(self._of)
+        self._unperturbed = _unperturbed(asked)
         n_blocks = np.array([shot.window.n_blocks for _, _, shot in self._of])
         tolerance = np.array([batch.limits.tolerance for batch, _, _ in self._of])
         self._n_blocks, self._quiet = n_blocks, Agreements(n_blocks, self._limit_blocks, tolerance)
@@ -109,10 +109,10 @@ class _Rounds:
     def hear(self, who: np.ndarray, phasors: np.ndarray, done: int) -> None:
         """The next blocks (n, 2, `RUN_BLOCKS`, 2) of some shots, which heard ``done`` of them before."""
         due = done + RUN_BLOCKS
-        heard = phasors - self._unperturbed[who]
+        heard = (phasors.transpose(2, 1, 3, 0) - np.take(self._unperturbed, who, axis=2)).transpose(3, 1, 0, 2)
         self._heard.append((who, heard))
         quiet = ~self._noisy[who]
-        self._quiet.hear(who[quiet], heard[quiet], done)
+        self._quiet.hear(who[quiet], heard if quiet.all() else heard[quiet], done)
         self._over[who[quiet]] = self._quiet.over[who[quiet]]
         another = (due // self._n_blocks[who] > done // self._n_blocks[who]) | (due >= self._limit_blocks[who])
         for k in who[~quiet & another].tolist():
@@ -140,15 +140,15 @@ class _Rounds:
         return _settled(*self._of[k], [Phasors(v, i) for v, i in rounds], over)
 
 
-def _unperturbed(of: Sequence[tuple[Batch, Baseline, Shot]]) -> np.ndarray:
-    """What every block of every shot hears of its baseline, (n, 2, 1, 2); both shots of a point hear the same."""
-    known: dict[tuple[int, Window], Phasors] = {}
-    for batch, baseline, shot in of:
-        key = id(baseline), shot.window
-        if key not in known:
-            known[key] = _heard_of(baseline, batch, shot.window)
-    heard = [known[id(baseline), shot.window] for _, baseline, shot in of]
-    return np.array([[x.v, x.i] for x in heard])[:, :, None]
+def _unperturbed(asked: Sequence[Driven]) -> np.ndarray:
+    """What every block of every shot hears of its baseline, (2, 2, n); most windows are those of several shots."""
+    baselines, batch = [one.baseline for one in asked], asked[0].batch
+    windows_of = [[shot.window for shot in one.shots] for one in asked]
+    different = list(dict.fromkeys(window for of_one in windows_of for window in of_one))
+    number = {window: k for k, window in enumerate(different)}
+    heard = np.array([_heard_of(baselines, batch, window) for window in different])
+    own = [heard[[number[window] for window in of_one], k] for k, of_one in enumerate(windows_of)]
+    return np.ascontiguousarray(np.concatenate(own).transpose(1, 2, 0))
 
 
 class _JobByJob:
@@ -260,28 +260,26 @@ def _listen_noisy_records(
     """Phasors of records less those of the mean baseline: subtracting another noisy branch would double the noise."""
     answers = run(plant, jobs, n_blocks * batch.block.steps)
     return [
-        (state, _less(block_phasors(record, window, batch.block.steps), _heard_of(baseline, batch, window)))
+        (state, _less(block_phasors(record, window, batch.block.steps), *_heard_of([baseline], batch, window)))
         for (state, record), window in zip(answers, listening, strict=True)
     ]
 
 
-def _heard_of(baseline: Baseline, batch: Batch, window: Window) -> Phasors:
-    """What one block of the window hears of the baseline, (2,) each: an equal share of what the whole window hears.
+def _heard_of(baselines: Sequence[Baseline], batch: Batch, window: Window) -> np.ndarray:
+    """What one block of the window hears of baselines (n, 2, 2), v and i: an equal share of what the window hears.
 
     Only whole windows are ever used, so the share of a single block is a matter of bookkeeping.
     """
     window_s = window.n_blocks * batch.block.duration_s
     pair = (window.f_hz, 2.0 * batch.f1_hz - window.f_hz)
-    v, i = (
-        np.array([periodic_window(x, round(f * window_s), window.n_blocks, baseline.t0_s / window_s) for f in pair])
-        / window.n_blocks
-        for x in (baseline.v, baseline.i)
-    )
-    return Phasors(v, i)
+    lines = np.array([[baseline.v, baseline.i] for baseline in baselines])
+    start = np.array([baseline.t0_s for baseline in baselines])[:, None] / window_s
+    heard = [periodic_window(lines, round(f * window_s), window.n_blocks, start) for f in pair]
+    return np.stack(heard, axis=-1) / window.n_blocks
 
 
-def _less(phasors: Phasors, unperturbed: Phasors) -> Phasors:
-    return Phasors(phasors.v - unperturbed.v, phasors.i - unperturbed.i)
+def _less(phasors: Phasors, unperturbed: np.ndarray) -> Phasors:
+    return Phasors(phasors.v - unperturbed[0], phasors.i - unperturbed[1])
 
 
 def _listen_records(

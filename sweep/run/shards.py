@@ -1,8 +1,9 @@
 """Results kept while a campaign runs: one file per batch, beside the output, found by its hash.
 
-A shard is one line of checksum and one line of JSON. It is written to a temporary name and renamed,
-so it is whole or not there; what a flipped bit or a full disk made of it is noticed and measured
-again. Writing the same shard twice is harmless.
+A shard is one line of checksum and one of text: what was seen of the operating point and the words of the rows as
+JSON, their numbers as they stand in memory, in base 64. It is written to a temporary name and renamed, so it is whole
+or not there; what a flipped bit or a full disk made of it is noticed and measured again. Writing the same shard twice
+is harmless.
 """
 
 from __future__ import annotations
@@ -10,24 +11,27 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from binascii import a2b_base64, b2a_base64
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import fields
-from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, NamedTuple, Protocol
+from typing import IO, NamedTuple, Protocol
+
+import numpy as np
 
 from ...identify.files import naming
-from ..measure.rows import BatchResult, Row
+from ...identify.table.format import N_COV
+from ..measure.rows import N_Y, BatchResult, Row
 from ..plan import Batch
 
-_COLUMNS = tuple(column.name for column in fields(Row))
-_values_of = attrgetter(*_COLUMNS)
-_FORMAT = "condition, rows"
+_FORMAT = "condition, words, numbers"
 """Part of every check sum: a shard of another form counts as damaged, and is measured anew."""
 
 _BETWEEN = "\t"
-"""Between the two parts of a shard, condition and rows: `json.dumps` writes no such character."""
+"""Between the three parts of a shard: neither JSON nor base 64 has such a character."""
+
+_NUMBERS = "<f8"
+"""Numbers of a shard: little-endian doubles."""
 
 
 class OutputInUse(OSError):
@@ -124,8 +128,10 @@ class Memory:
 
 def write(folder: Path, key: str, result: BatchResult) -> None:
     """Keep ``result`` as the shard ``key``."""
-    rows = json.dumps([dict(zip(_COLUMNS, _values_of(row), strict=True)) for row in result.rows])
-    keep(folder, key, f"{json.dumps(result.condition)}{_BETWEEN}{rows}")
+    words = [(row.status, row.reason) for row in result.rows]
+    numbers = np.array([_numbers(row) for row in result.rows], _NUMBERS).tobytes()
+    parts = json.dumps(result.condition), json.dumps(words), b2a_base64(numbers, newline=False).decode("ascii")
+    keep(folder, key, _BETWEEN.join(parts))
 
 
 def keep(folder: Path, key: str, text: str) -> None:
@@ -149,8 +155,10 @@ def read(folder: Path, key: str) -> BatchResult | None:
     text = kept(folder, key)
     if text is None:
         return None
-    condition, _, rows = text.partition(_BETWEEN)
-    return BatchResult(tuple(_row(**values) for values in json.loads(rows)), json.loads(condition))
+    condition, all_words, packed = text.split(_BETWEEN)
+    words = json.loads(all_words)
+    numbers = np.frombuffer(a2b_base64(packed), _NUMBERS).reshape(len(words), -1).tolist()
+    return BatchResult(tuple(map(_row, words, numbers)), json.loads(condition))
 
 
 def kept(folder: Path, key: str) -> str | None:
@@ -185,5 +193,13 @@ def _checksum(key: str, text: str) -> str:
     return hashlib.sha256(f"{_FORMAT}\n{key}\n{text}".encode()).hexdigest()
 
 
-def _row(y: list[float], cov: list[float], **others: Any) -> Row:
-    return Row(y=tuple(y), cov=tuple(cov), **others)
+def _numbers(row: Row) -> tuple[float, ...]:
+    """All of a row but its words; see `_row`."""
+    f_hz, y, cov, _, _, *others = row
+    return (f_hz, *y, *cov, *others)
+
+
+def _row(words: Sequence[str], numbers: Sequence[float]) -> Row:
+    status, reason = words
+    y, cov, others = numbers[1 : 1 + N_Y], numbers[1 + N_Y :][:N_COV], numbers[1 + N_Y + N_COV :]
+    return Row(numbers[0], tuple(y), tuple(cov), status, reason, *others)

@@ -126,9 +126,7 @@ def test_rows_between_probes_take_the_larger_spread():
 
 
 def _scaled(row, by):
-    from dataclasses import replace
-
-    return replace(row, y=tuple((1.0 + by) * x for x in row.y))
+    return row._replace(y=tuple((1.0 + by) * x for x in row.y))
 
 
 # The judgements behind it

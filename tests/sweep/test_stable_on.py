@@ -69,7 +69,7 @@ def test_one_row_that_diverged_is_enough_to_say_nothing():
     plan = planned(RLBranch(), f_hz=F_HZ)
     rows = rows_of(RLBranch(), plan)
     assert stable_on(plan, plan.conditions[0], rows) is not None
-    assert stable_on(plan, plan.conditions[0], [replace(rows[0], status="diverged"), *rows[1:]]) is None
+    assert stable_on(plan, plan.conditions[0], [rows[0]._replace(status="diverged"), *rows[1:]]) is None
     assert stable_on(plan, plan.conditions[0], []) is None
 
 
