@@ -12,19 +12,23 @@ import numpy as np
 from .aaa import Barycentric, interpolants, poles
 from .dq_data import DqData
 from .least_squares import Problem, Trial, floor_cost, held, refine
-from .partial_fractions import upper_half
+from .partial_fractions import order_of, upper_half
 from .vector_fit import vector_fit
 
 _DESCRIBED = 1e-5  # misfit of an interpolant, relative to Y, that noise does not allow
 _UNEXPLAINED = 4.0  # variances beyond the stated ones from which on a misfit is no noise
 _HIGHEST, _PER_ROW = 27, 0.8  # order of an interpolant, and order per row: half as many parameters as numbers
 _ONE_PLACE = 1e-6  # rows closer than this, relatively, are at one place
-_MANY = 150  # rows from which on the order search does not get stuck
+_MANY = 150  # rows from which on the order search gets stuck only where it ends at the highest order
 
 
-def from_interpolant(problem: Problem, data: DqData, trial: Trial) -> Trial:
-    """A trial that starts from the poles of an interpolant, where rows are exact and ``trial`` misses them."""
-    if len(data.nu_hz) > _MANY or not _is_unexplained(problem, trial):
+def from_interpolant(problem: Problem, data: DqData, trial: Trial, max_order: int) -> Trial:
+    """A trial that starts from the poles of an interpolant, where rows are exact and ``trial`` misses them.
+
+    ``max_order`` is where the search for the trial's order had to end.
+    """
+    ended = order_of(trial.poles) + 2 > max_order
+    if (len(data.nu_hz) > _MANY and not ended) or not _is_unexplained(problem, trial):
         return trial
     found = _describing(data)
     if found is None:

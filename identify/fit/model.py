@@ -166,7 +166,7 @@ def _settled(
     if part is not None:
         problem = weighted(data, noise_floor, part)._replace(n_unstable=n_unstable)
         trial = select_order(problem, max_order, start)
-    trial = from_interpolant(problem, data, refine(problem, trial))
+    trial = from_interpolant(problem, data, refine(problem, trial), max_order)
     problem, trial, outlying = leave_out_outliers(problem, trial, max_order)
     uneven = weighted_by_misfit(problem, trial)
     if uneven is not None:

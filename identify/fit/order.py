@@ -15,6 +15,7 @@ _FEW = 60  # rows
 _UNPLACED = 0.5  # standard error of a far pole, in its size, from which on its place is not known
 _NEARBY = 5.0  # where a real pole that replaces a far pair is started, in bands
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
+_ROUNDING = 1e-4  # part of the noise floor below which only exact rows are met
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
 
 
@@ -157,8 +158,12 @@ def thin_out_far(problem: Problem, trial: Trial) -> Trial:
 def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
     """Remove, one by one, poles of no certain half-plane that Y does not need to 1e-4.
 
-    Errors of the sweep ask for such poles. One by one: a true instability must not keep spurious ones beside it.
+    Errors of the sweep ask for such poles. One by one: a true instability must not keep spurious ones beside it. Rows
+    that the fit meets to rounding have no such errors.
     """
+    exact = _met_exactly(problem, trial)
+    if exact is not None:
+        return exact, ()
     n_before, needed = order_of(trial.poles), np.zeros(0, dtype=complex)
     while True:
         doubtful = _doubtful(problem, trial, needed)
@@ -176,6 +181,19 @@ def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
         return trial, ()
     misfit = _relative_misfit(problem, trial)
     return trial, (f"{n_left_out} faint poles of no certain sign left out of the fit: it matches Y to {misfit:.1g}",)
+
+
+def _met_exactly(problem: Problem, trial: Trial) -> Trial | None:
+    """The trial continued to rounding, where it meets the rows so with half as many parameters as they have numbers.
+
+    Errors of a sweep may be smooth enough for a fit to meet them to its floor; to rounding none does.
+    """
+    parameters = order_of(trial.poles) + ELEMENTS * (order_of(trial.poles) + trial.tail)
+    if trial.cost > floor_cost(problem) or parameters > problem.y.size:
+        return None
+    sharper = problem._replace(floor=_ROUNDING * problem.floor)
+    exact = refine(sharper, trial)
+    return trial_at(problem, exact.poles, exact.tail) if exact.cost < floor_cost(sharper) else None
 
 
 def _doubtful(problem: Problem, trial: Trial, needed: np.ndarray) -> np.ndarray:

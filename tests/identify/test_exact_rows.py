@@ -52,7 +52,7 @@ def test_noise_is_no_start() -> None:
     data = to_dq(rows(0, 1e-3)[0])
     problem = weighted(data, 1e-7)
     trial = select_order(problem, 22, None)
-    assert from_interpolant(problem, data, trial) is trial
+    assert from_interpolant(problem, data, trial, 22) is trial
 
 
 def test_rows_measured_twice_are_fitted_without_an_interpolant() -> None:
@@ -66,3 +66,29 @@ def test_rows_measured_twice_are_fitted_without_an_interpolant() -> None:
         meta=response.meta,
     )
     assert fit_response(both).order > 0
+
+
+def test_exact_rows_of_a_device_of_more_modes_than_are_tried_are_fitted_exactly() -> None:
+    """The search of the order ends at 24; an interpolant of all rows finds the 26 poles."""
+    rng = np.random.default_rng(5)
+    poles = -2.0 * np.pi * np.geomspace(2.0, 900.0, 13) * (0.02 - 1j)
+    residues = rng.normal(size=(13, 2, 2)) * np.abs(poles.real)[:, None, None]
+    nu = np.unique(np.round(np.exp(rng.uniform(0.0, np.log(1500.0), 220)), 1))
+    s = 2j * np.pi * nu[:, None, None, None]
+    y = np.eye(2) + np.sum(residues / (s - poles[:, None, None]) + residues / (s - poles.conj()[:, None, None]), axis=1)
+    found = fit_response(FrequencyResponse(50.0 + nu, dq_to_pn(y), 50.0, meta={"stable_on": {"grid": "ideal"}}))
+    assert max(np.abs(found.poles - pole).min() / abs(pole) for pole in poles) < 1e-9
+
+
+@pytest.mark.parametrize("n_unstable", [0, None])
+def test_rows_that_are_met_exactly_keep_a_mode_whose_side_of_the_axis_they_hardly_tell(n_unstable: int | None) -> None:
+    """A slow mode in a wide hole around f1, worth less than 1e-4 of every row: without it, all others were off."""
+    nu = np.append(49.0, np.linspace(62.0, 1950.0, 18))
+    s = 2j * np.pi * nu[:, None, None]
+    ring, slow = -800.0 + 1300.0j, -0.9 + 4.2j
+    y = 2e-4 * np.eye(2) + 900.0 / (s + 28.0) * np.array([[1.0, 0.3], [-0.3, 1.0]])
+    for pole, residue in ((ring, np.array([[90.0, 40.0], [-40.0, 80.0]])), (slow, np.array([[0.5, 0.1], [0.2, 0.4]]))):
+        y = y + residue / (s - pole) + residue / (s - np.conj(pole))
+    found = fit_response(FrequencyResponse(50.0 + nu, dq_to_pn(y), 50.0), n_unstable=n_unstable)
+    off = [np.abs(found.poles - pole).min() / abs(pole) for pole in (ring, slow)]
+    assert off[0] < 1e-7 and off[1] < 1e-2
