@@ -91,4 +91,5 @@ def test_rows_that_are_met_exactly_keep_a_mode_whose_side_of_the_axis_they_hardl
         y = y + residue / (s - pole) + residue / (s - np.conj(pole))
     found = fit_response(FrequencyResponse(50.0 + nu, dq_to_pn(y), 50.0), n_unstable=n_unstable)
     off = [np.abs(found.poles - pole).min() / abs(pole) for pole in (ring, slow)]
-    assert off[0] < 1e-7 and off[1] < 1e-2
+    assert off[0] < 1e-7
+    assert off[1] < 1e-2
