@@ -24,6 +24,7 @@ from .sweep.planning import make_plan
 from .sweep.run.campaign import Interrupted, sweep_in_memory
 from .sweep.run.campaign import run as run_campaign
 from .sweep.run.host import plant_or_card
+from .sweep.run.spare import spare_children
 from .sweep.run.swept import Swept
 from .tables import table_of
 
@@ -224,9 +225,9 @@ def sweep(
 
 
 def _swept(config: Config, live: Plant | None, jobs: int | None, progress: bool, single: bool) -> Table:
-    plant = plant_or_card(config) if live is None else live
-    plan = make_plan(config, plant) if live is None else _live_plan(config, live)
-    with _shown(progress) as shown:
+    with spare_children(), _shown(progress) as shown:
+        plant = plant_or_card(config) if live is None else live
+        plan = make_plan(config, plant) if live is None else _live_plan(config, live)
         try:
             swept = sweep_in_memory(
                 plan,
@@ -438,9 +439,9 @@ class Campaign:
 
 def _run_listed(config: Config, output: Path, workers: int, force: bool, progress: bool) -> None:
     """A campaign whose operating points are listed, to its table."""
-    plant = plant_or_card(config)
-    plan = make_plan(config, plant)
-    with _shown(progress) as shown:
+    with spare_children(), _shown(progress) as shown:
+        plant = plant_or_card(config)
+        plan = make_plan(config, plant)
         outcome = run_campaign(plan, plant, output, jobs=workers, discard=force, report=shown.report, say=shown.say)
     _warn([*plan.warnings, *outcome.remarks])
 

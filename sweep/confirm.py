@@ -24,6 +24,7 @@ from .config.sections import Config
 from .planning import make_plan
 from .run.campaign import sweep_in_memory
 from .run.host import plant_or_card
+from .run.spare import spare_children
 
 Report = Callable[[str], None]
 Resweep = Callable[..., PointTuning]
@@ -265,12 +266,13 @@ def swept_damped(data: dict[str, Any], grid: SeriesRL, k: float, f_r_hz: float |
     if data["injection"]["amplitude_pu"] == "auto":  # devices with a measurement port are quiet: the default will do
         data["injection"] = {key: value for key, value in data["injection"].items() if not key.startswith("amplitude")}
     damped = Config.from_dict(data)
-    try:
-        plant = plant_or_card(damped)
-    except ValueError as error:
-        raise ConfirmError(
-            f"{damped.plant.id} cannot be swept with damping control: it offers no measurement port ({error})"
-        ) from None
-    plan = replace(make_plan(damped, plant), adaptive=None)  # the first round of an adaptive grid will do
-    (response,) = sweep_in_memory(plan, plant, jobs=jobs, backend="threading").responses()
+    with spare_children():
+        try:
+            plant = plant_or_card(damped)
+        except ValueError as error:
+            raise ConfirmError(
+                f"{damped.plant.id} cannot be swept with damping control: it offers no measurement port ({error})"
+            ) from None
+        plan = replace(make_plan(damped, plant), adaptive=None)  # the first round of an adaptive grid will do
+        (response,) = sweep_in_memory(plan, plant, jobs=jobs, backend="threading").responses()
     return response

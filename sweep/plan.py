@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from ..plant.circuits.circuit import Circuit
 from ..plant.errors import SeqsweepError
 from ..plant.protocol import Injection, InjectionKind, OperatingPoint, Source, Tone, Window
 from ..plant.registry import PlantSpec
-from .excitation.adaptive_rounds import Adaptive
 from .excitation.frequencies import Block, Frequency
 from .excitation.signals import AXES, Axis, Signal, negated, tones
+
+if TYPE_CHECKING:
+    from .excitation.adaptive_rounds import Adaptive  # a worker of black boxes needs none of its fits
 
 RESULT_VERSION = 3
 """Part of every hash: raise it when the same shot gives another number."""

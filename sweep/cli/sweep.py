@@ -87,10 +87,12 @@ def plan(
     jobs: Annotated[int, typer.Option(min=1, help="Workers that the wall time is for.")] = os.cpu_count() or 1,
 ) -> None:
     """Print every shot, the simulated seconds and the expected wall time; no shot is fired."""
+    from ..run.spare import spare_children
     from .plan_text import plan_text, plan_values
 
-    planned, plant = planned_of(campaign, settings)
-    result(lambda: plan_text(planned, plant, jobs), lambda: plan_values(planned, plant, jobs))
+    with spare_children():
+        planned, plant = planned_of(campaign, settings)
+        result(lambda: plan_text(planned, plant, jobs), lambda: plan_values(planned, plant, jobs))
 
 
 def run(
@@ -135,21 +137,23 @@ class Running(NamedTuple):
 def _run_listed(config: Config, output: Path, running: Running, force: bool) -> Outcome:
     """A campaign whose operating points are listed."""
     from ..run.campaign import run as run_campaign
+    from ..run.spare import spare_children
     from .progress import progress
 
-    planned, plant = planned_from(config)
-    with progress() as shown:
-        return run_campaign(
-            planned,
-            plant,
-            output,
-            jobs=running.jobs,
-            backend=running.backend,
-            scheduler=running.scheduler,
-            discard=force,
-            report=shown.report,
-            say=shown.say,
-        )
+    with spare_children():
+        planned, plant = planned_from(config)
+        with progress() as shown:
+            return run_campaign(
+                planned,
+                plant,
+                output,
+                jobs=running.jobs,
+                backend=running.backend,
+                scheduler=running.scheduler,
+                discard=force,
+                report=shown.report,
+                say=shown.say,
+            )
 
 
 def _run_region(config: Config, output: Path, running: Running, force: bool) -> None:

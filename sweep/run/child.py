@@ -80,7 +80,7 @@ class Child:
     folder : path
         Where the child and its plant may leave temporary files.
     memory_mb : float
-        Memory (MB) that a process of it may use.
+        Memory (MB) that a process of it may use; may be changed between two questions.
 
     Raises
     ------
@@ -95,7 +95,7 @@ class Child:
     card: PlantCard
 
     def __init__(self, spec: PlantSpec, folder: Path, memory_mb: float = DEFAULT_MEMORY_MB):
-        self._memory_mb = memory_mb
+        self.memory_mb = memory_mb
         self._pipe, theirs = Pipe()
         descriptor, name = tempfile.mkstemp(prefix="said-", dir=folder)
         os.close(descriptor)
@@ -138,6 +138,11 @@ class Child:
             raise answer.error(ChildFailed)
         return answer  # type: ignore[return-value]
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether its process is there."""
+        return self._process.poll() is None
+
     def kill(self) -> None:
         """End the process and whatever it has started in its process group."""
         with suppress(ProcessLookupError):
@@ -176,10 +181,10 @@ class Child:
                 waiting.look()
             _forget_what_was_said(self._said)
             used_mb = most_memory_mb(self._process.pid)
-            if used_mb > self._memory_mb:
+            if used_mb > self.memory_mb:
                 raise ChildFailed(
                     f"a process of the plant used {used_mb:.0f} MB of memory; plant.memory_mb allows "
-                    f"{self._memory_mb:g} MB"
+                    f"{self.memory_mb:g} MB"
                 )
 
     def _death(self) -> str:

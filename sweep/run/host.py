@@ -22,8 +22,9 @@ from ..config.sections import Config
 from ..measure.measure import measure, measure_together
 from ..measure.rows import BatchResult, failed_batch
 from ..plan import Batch, Hosting
-from .child import DEFAULT_MEMORY_MB, Child, ChildFailed, child, scratch
+from .child import DEFAULT_MEMORY_MB, Child, ChildFailed, scratch
 from .heartbeat import Waiting
+from .spare import any_child, card_by_child, taken
 
 T = TypeVar("T")
 
@@ -93,14 +94,14 @@ class ChildHost:
         return _again_if_killed(partial(self._ask, question, timeout_s, late))
 
     def _ask(self, question: Callable[[Plant], T], timeout_s: float, late: str) -> T:
-        with child(self.spec, self._memory_mb) as asked:
+        with any_child(self.spec, self._memory_mb) as asked:
             return asked.ask(question, timeout_s, late)
 
     @contextmanager
     def measuring(self, n_workers: int, say: Say = silent) -> Iterator[Measure]:
         with scratch() as folder:
             limits = Limits(self.timeout_s or DEFAULT_TIMEOUT_S, self._memory_mb)
-            lent = Children(self.spec, limits, n_workers, folder, say)
+            lent = Children(self.spec, limits, n_workers, folder, say, taken(self.spec, self._memory_mb))
             try:
                 yield lambda batches: [lent.measure(batch) for batch in batches]
             finally:
@@ -150,16 +151,11 @@ def plant_or_card(config: Config) -> Plant | PlantCard:
     if not runs_isolated(spec.id, config.plant.isolate):
         return make_plant(spec.id, spec.parameters)
     try:
-        return _again_if_killed(partial(_card, spec))
+        return _again_if_killed(partial(card_by_child, spec))
     except ChildFailed as failure:
         if failure.killed:
             raise OSError(f"{spec.id}: {failure}, twice; the machine may be out of memory") from None
         raise PlantError(f"{spec.id} cannot be made: {failure}") from None
-
-
-def _card(spec: PlantSpec) -> PlantCard:
-    with child(spec) as asked:
-        return asked.card
 
 
 def _again_if_killed(attempt: Callable[[], T]) -> T:
@@ -187,13 +183,23 @@ class Children:
         For their temporary files.
     say : callable
         Takes a line on a batch that is waited for.
+    spare : Child, optional
+        The first of them, where there is one already.
     """
 
-    def __init__(self, spec: PlantSpec, limits: Limits, n_children: int, folder: Path, say: Say = silent):
+    def __init__(
+        self,
+        spec: PlantSpec,
+        limits: Limits,
+        n_children: int,
+        folder: Path,
+        say: Say = silent,
+        spare: Child | None = None,
+    ):
         self._spec, self._limits, self._folder, self._say = spec, limits, folder, say
         self._idle: queue.SimpleQueue[Child | None] = queue.SimpleQueue()
-        for _ in range(n_children):
-            self._idle.put(None)
+        for one in (spare, *[None] * (n_children - 1)):
+            self._idle.put(one)
 
     def measure(self, batch: Batch) -> BatchResult:
         """`measure` in a child; rows whose plant crashed or hung are "failed" with the reason."""
@@ -222,7 +228,7 @@ class Children:
         late = f"{batch.n_shots} shots took longer than {timeout_s:g} s of wall time, plant.timeout_s for each"
         try:
             lent = lent or Child(self._spec, self._folder, self._limits.memory_mb)
-            return lent.ask(partial(_measured, batch), timeout_s, late, Waiting(batch, timeout_s, self._say))
+            return lent.ask(partial(measure, batch=batch), timeout_s, late, Waiting(batch, timeout_s, self._say))
         except ChildFailed:
             if lent is not None:
                 lent.kill()
@@ -230,7 +236,3 @@ class Children:
             raise
         finally:
             self._idle.put(lent)
-
-
-def _measured(batch: Batch, plant: Plant) -> BatchResult:
-    return measure(plant, batch)

@@ -18,6 +18,7 @@ from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
 from ..plan import Batch, Hosting, Plan
 from .host import Measure, Say, host_at_hand, host_of, silent
+from .spare import end_spares
 
 RESTARTS = 3
 """How often a pool that lost a worker is started anew before the batch is given up."""
@@ -109,6 +110,8 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
 @contextmanager
 def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str) -> Iterator[Asked]:
     """The workers of a backend, for as long as they are needed."""
+    if backend in ("dask", "loky"):
+        end_spares()
     if backend == "dask":
         with _dask_client(workers.jobs, workers.scheduler) as client:
             yield partial(_on_cluster, client, partial(_in_process, plan.hosting), workers.jobs)

@@ -20,6 +20,7 @@ from seqsweep.sweep.run import child as children_of
 from seqsweep.sweep.run import host
 from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
 from seqsweep.sweep.run.host import plant_or_card
+from seqsweep.sweep.run.spare import spare_children
 
 from ..support.commands import TOP, call, campaign, end_group, is_alive, start, wait_for
 from ..support.questions import (
@@ -184,6 +185,50 @@ def test_temporary_files_go_with_the_run_and_a_killed_runs_with_the_next(tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def the_branch_in_a_child():
+    return Config.from_dict(
+        {
+            "campaign": {"name": "spare"},
+            "plant": {"id": BRANCH.id, "parameters": dict(BRANCH.parameters), "isolate": True},
+            "operating_point": [{"active_power_mw": 0.1, "terminal_voltage_pu": 1.0}],
+            "sweep": {"f_hz": [77.0]},
+        }
+    )
+
+
+def test_the_child_that_gave_the_card_answers_what_is_asked_next_and_ends_with_the_block(found_by_name, monkeypatch):
+    begun, real = [], subprocess.Popen
+    monkeypatch.setattr(children_of.subprocess, "Popen", lambda *a, **k: begun.append(real(*a, **k)) or begun[-1])
+    asked = host.ChildHost(BRANCH)
+    with spare_children():
+        plant_or_card(the_branch_in_a_child())
+        assert asked.ask(pid_of, 300.0, "late") == begun[0].pid
+        assert asked.ask(pid_of, 300.0, "late") == begun[1].pid  # the spare one ended with its answer
+        plant_or_card(the_branch_in_a_child())
+        assert begun[2].poll() is None
+    assert [process.poll() for process in begun] == [-9, -9, -9]
+    plant_or_card(the_branch_in_a_child())
+    assert begun[3].poll() == -9  # outside of the block nobody stays
+
+
+def test_a_spare_child_that_died_or_holds_another_plant_is_not_taken(found_by_name, monkeypatch):
+    begun, real = [], subprocess.Popen
+    monkeypatch.setattr(children_of.subprocess, "Popen", lambda *a, **k: begun.append(real(*a, **k)) or begun[-1])
+    with spare_children():
+        plant_or_card(the_branch_in_a_child())
+        assert host.ChildHost(PlantSpec("branch-v1", {"r_ohm": 0.3})).ask(r_ohm_of, 300.0, "late") == 0.3
+        begun[0].kill()
+        begun[0].wait()
+        assert host.ChildHost(BRANCH).ask(pid_of, 300.0, "late") == begun[2].pid
+
+
+def test_the_spare_child_measures_within_the_memory_that_the_campaign_gives(found_by_name):
+    with spare_children():
+        plant_or_card(the_branch_in_a_child())
+        with pytest.raises(ChildFailed, match=r"MB of memory; plant.memory_mb allows 1 MB"):
+            host.ChildHost(BRANCH, memory_mb=1.0).ask(sleeps, 300.0, "late")
+
+
 def test_a_black_box_is_never_loaded_in_the_runner(monkeypatch):
     from seqsweep.plant import registry
 
@@ -219,7 +264,7 @@ def test_the_runner_plans_and_runs_a_foreign_plant_without_importing_it(tmp_path
         end_group(process)
     assert process.returncode == 0
     importers = {int(line) for line in (tmp_path / "imported").read_text().split()}
-    assert len(importers) >= 3  # one for the plan's card, one for its stopwatch, the run's
+    assert len(importers) >= 2  # one for the plan's card and its stopwatch, one for those of the run
     assert process.pid not in importers
 
 
