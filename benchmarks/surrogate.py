@@ -2,10 +2,12 @@
 
     python benchmarks/surrogate.py                               a first look; a new seed, which is printed
     python benchmarks/surrogate.py --only certificates --designs 50 --seed 7
+    python benchmarks/surrogate.py --only certificates --designs 1 --seed 23     the design of one seed again
     python benchmarks/surrogate.py --designs 200 --jobs 2 --write --check
 
-Truth is the exact linearisation of the devices (tests/support). ``--write`` rewrites the figures of docs/surrogate.md,
-``--check`` ends with 1 where a bar is missed.
+Truth is the exact linearisation of the devices (tests/support). What misses a bar is told with its seed. Answers are
+kept as they come: the same seed goes on where it was ended, and a larger count adds to a smaller one. ``--write``
+rewrites the figures of docs/surrogate.md (or of ``--page``), ``--check`` ends with 1 where a bar is missed.
 """
 
 from __future__ import annotations
@@ -19,11 +21,12 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from harness import FIGURES, ROOT, add_run_options, rewrite
+from harness import FIGURES, KEPT, ROOT, add_run_options, rewrite
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from operating_region import bars
+from operating_region.kept import Kept
 
 PAGE = ROOT / "docs" / "surrogate.md"
 
@@ -53,6 +56,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--runs", type=int, default=0, help="campaigns of each device whose rows `run` sweeps")
     parser.add_argument("--campaigns", type=int, default=1, help="campaigns that are timed")
     parser.add_argument("--rivals", type=int, default=2, help="as many of each kind for the library's method")
+    parser.add_argument("--page", type=Path, default=PAGE, help="the page whose figures --write rewrites")
     add_run_options(parser)
     return parser.parse_args()
 
@@ -62,7 +66,8 @@ def main() -> int:
     asked = arguments()
     print(f"seed {asked.seed}", file=sys.stderr)
     parts, met = [], True
-    with ProcessPoolExecutor(asked.jobs) as pool:
+    with ProcessPoolExecutor(asked.jobs) as processes:
+        pool = Kept(processes, asked.jobs, KEPT / "surrogate", ROOT)
         for name in asked.only.split(","):
             begin = time.perf_counter()
             bar, option = BARS[name]
@@ -72,7 +77,7 @@ def main() -> int:
             print(f"{name}: {time.perf_counter() - begin:.0f} s", file=sys.stderr)
             print(*[row.line() for row in rows], sep="\n", flush=True)
     if asked.write:
-        rewrite(PAGE, *FIGURES, _page(asked, parts))
+        rewrite(asked.page, *FIGURES, _page(asked, parts))
     return 1 if asked.check and not met else 0
 
 

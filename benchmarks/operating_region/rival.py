@@ -44,6 +44,11 @@ class Processes:
     size: np.ndarray
     models: tuple[()] = ()
 
+    @property
+    def cautious(self) -> Processes:
+        """Itself: a process has no products that it might lack."""
+        return self
+
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Y (p, f, 4) at points (p, d) of the unit box, and the radius of its 95 % region relative to the norm."""
         with warnings.catch_warnings():

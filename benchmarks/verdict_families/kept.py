@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import takewhile
@@ -18,10 +18,10 @@ ASKED = ("tuning", "identify", "benchmarks/verdict_families")
 """Folders whose text decides what the answers are."""
 
 
-def fingerprint(root: Path) -> str:
+def fingerprint(root: Path, folders: Sequence[str] = ASKED) -> str:
     """Short hash of the product that answers, and of the benchmark that asks."""
     digest = hashlib.sha256()
-    for folder in ASKED:
+    for folder in folders:
         for file in sorted((root / folder).rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()[:10]
@@ -31,7 +31,7 @@ def answers(
     one: Callable[[int], Any], indices: range, file: Path, jobs: int, goes_on: Callable[[], bool]
 ) -> Iterator[Any]:
     """Answers in order: those in ``file`` first, then new ones, which are added to it, as long as it ``goes_on``."""
-    known, whole = _read(file)
+    known, whole = read(file)
     yield from known[: len(indices)]
     for number, answer in enumerate(_each(one, indices[len(known) :], jobs, goes_on)):
         with file.open("r+b" if file.exists() else "wb") as out:
@@ -43,7 +43,7 @@ def answers(
         yield answer
 
 
-def _read(file: Path) -> tuple[list[Any], int]:
+def read(file: Path) -> tuple[list[Any], int]:
     """Whole answers, and where in the file they end."""
     found: list[Any] = []
     end = 0

@@ -83,17 +83,18 @@ def _grow(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarra
 
 def _grown(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
     """The best shape one index larger, or two where one alone gains nothing; None where no freedom is left."""
-    singles = [s for s in _larger(shape) if _has_freedom(data, s)]
+    singles = [s for s in larger(shape) if _has_freedom(data, s)]
     found = _best_of(data, singles, tried, region)
     if found is not None and tried[found] < tried[shape] / SMALLEST_WITHIN:
         return found
-    pairs = {two for one in singles for two in _larger(one) if two.denominator != shape.denominator}
+    pairs = {two for one in singles for two in larger(one) if two.denominator != shape.denominator}
     second = _best_of(data, _promising(data, sorted(s for s in pairs if _has_freedom(data, s))), tried, region)
     both = [s for s in (found, second) if s is not None]
     return min(both, key=lambda s: (tried[s], s), default=None)
 
 
-def _larger(shape: Shape) -> list[Shape]:
+def larger(shape: Shape) -> list[Shape]:
+    """Every shape of one index more."""
     n_axes = len(shape.numerator[0])
     upper = [
         Shape(tuple(sorted((*shape.numerator, i))), shape.denominator)

@@ -85,7 +85,7 @@ def next_point(surrogate: Surrogate, region: Region) -> tuple[np.ndarray, float]
     """The operating point (d,) of the region with the largest bar, not too near a swept one, and that bar."""
     candidates = region.samples(_CANDIDATES)
     candidates = candidates[surrogate.holds(candidates)]
-    relative = surrogate.evaluate(candidates).relative.max(axis=1)
+    relative = surrogate.cautious.evaluate(candidates).relative.max(axis=1)
     return apart_from_swept(surrogate, candidates, relative), float(relative.max())
 
 

@@ -19,10 +19,11 @@ from ..fit.dq_data import to_dq
 from ..frames import dq_to_pn
 from ..response import FrequencyResponse
 from .between import between
-from .certainty import Certainty, certainty, relative_error
+from .certainty import certainty
 from .choosing import choose_shapes
 from .index_sets import Index
 from .jumps import Border, find_border
+from .piece import Cautious, Piece
 from .region import (
     AXES,
     Region,
@@ -34,7 +35,7 @@ from .region import (
     points_of,
     scale_of,
 )
-from .sparse_rational import ELEMENTS, Data, Fitted, Shape, fit_shape, predict, values
+from .sparse_rational import ELEMENTS, Data, Fitted, Shape, fit_shape, values
 
 DECIDING = 24
 """Frequencies by which the products are chosen."""
@@ -60,29 +61,6 @@ class Evaluation(NamedTuple):
     def relative(self) -> np.ndarray:
         """(p, f) radius relative to ||Y||_F."""
         return self.radius / np.linalg.norm(self.y, axis=(2, 3))
-
-
-class Piece(NamedTuple):
-    """A device that is one over its operating points.
-
-    Attributes
-    ----------
-    models : tuple of Fitted
-        The chosen model first, then its rivals.
-    sure : Certainty
-        What a leverage stands for.
-    """
-
-    models: tuple[Fitted, ...]
-    sure: Certainty
-
-    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Y (p, f, 4) at points (p, d) of the unit box, and its radius relative to the norm."""
-        best = predict(self.models[0], x)
-        score = max(self.models[0].score, 1e-300)
-        rivals = [predict(rival, x) for rival in self.models[1:]]
-        worse = [rival.score / score for rival in self.models[1:]]
-        return best.y, relative_error(best, self.sure, rivals, worse)
 
 
 @dataclass(frozen=True)
@@ -118,7 +96,7 @@ class Surrogate:
     region: Region
     points: np.ndarray
     scale: Scale
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Piece | Cautious, ...]
     border: Border | None
     suspected: Border | None
     terminal: Fitted | None
@@ -189,6 +167,11 @@ class Surrogate:
         if self.terminal is None:
             raise SurrogateError("the table lacks the measured fundamental of its operating points: sweep it again")
         return values(self.terminal, self.scale.unit(self.region.complete(points)))[:, 0, 0]
+
+    @cached_property
+    def cautious(self) -> Surrogate:
+        """The same device with what its models may lack in its radii: what sweeps are placed by and certified with."""
+        return replace(self, pieces=tuple(piece.cautious for piece in self.pieces))
 
     @cached_property
     def worst_bar(self) -> tuple[float, np.ndarray]:
@@ -360,7 +343,7 @@ def _piece(
         shapes = choose_shapes(Data(own.x, own.y[every], own.weight[every]), region)
     fitted = tuple(fit_shape(own, shape) for shape in shapes)
     models = tuple(model for model in fitted if np.isfinite(model.score)) or fitted
-    return Piece(models, certainty(models[0], own, None if noise is None else noise[:, side]))
+    return Piece(models, certainty(models[0], own, None if noise is None else noise[:, side]), own)
 
 
 # From a table --------------------------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ class CriticalMode:
         return f"the critical mode is certified to {self.tolerance:g} rad/s over the region, {_on(self.situations)}"
 
     def look(self, surrogate: Surrogate) -> tuple[np.ndarray, float]:
-        seen = _seen(surrogate, self.situations)
+        seen = _seen(surrogate.cautious, self.situations)
         radius = np.where(np.isfinite(seen.scanned.mode), seen.scanned.mode_radius, 0.0)
         return apart_from_swept(surrogate, seen.points, radius), float(radius.max())
 
@@ -138,7 +138,7 @@ class Verdict:
         return f"the verdict is known on all but {self.tolerance:.3g} of the region, {_on(self.situations)}"
 
     def look(self, surrogate: Surrogate) -> tuple[np.ndarray, float]:
-        seen = _seen(surrogate, self.situations)
+        seen = _seen(surrogate.cautious, self.situations)
         closeness = 1.0 / np.maximum(np.abs(seen.scanned.sure), 1e-12)
         return apart_from_swept(surrogate, seen.points, closeness), float(np.mean(is_open(seen.scanned)))
 

@@ -1,0 +1,79 @@
+"""A device that is one over its operating points: its models, and what they may lack.
+
+The sweeps of a design may stand where a product that the model lacks is nearly a sum of those that it has. No left-out
+sweep shows it then, and no rival that holds it is kept, for its left-out errors are large where the sweeps hardly tell
+its coefficient. Elsewhere it may be of full size: the leverage of a model that is one product richer says how large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .certainty import Certainty, relative_error
+from .choosing import larger
+from .sparse_rational import Data, Fitted, fit_shape, predict
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A device that is one over its operating points.
+
+    Attributes
+    ----------
+    models : tuple of Fitted
+        The chosen model first, then its rivals.
+    sure : Certainty
+        What a leverage stands for.
+    data : Data
+        The sweeps that they were fitted to.
+    """
+
+    models: tuple[Fitted, ...]
+    sure: Certainty
+    data: Data
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Y (p, f, 4) at points (p, d) of the unit box, and its radius relative to the norm."""
+        best = predict(self.models[0], x)
+        score = max(self.models[0].score, 1e-300)
+        rivals = [predict(rival, x) for rival in self.models[1:]]
+        worse = [rival.score / score for rival in self.models[1:]]
+        return best.y, relative_error(best, self.sure, rivals, worse)
+
+    @cached_property
+    def cautious(self) -> Cautious:
+        """The same with what the model may lack in its radius."""
+        shapes = larger(self.models[0].shape)
+        return Cautious(self, tuple(fit_shape(self.data, shape) for shape in shapes))
+
+
+@dataclass(frozen=True)
+class Cautious:
+    """A piece whose radius is the largest of its own and of those that models of one product more would have.
+
+    It is what a sweep is placed by and certified with; as the radius of a 95 % region it would be too large.
+
+    Attributes
+    ----------
+    piece : Piece
+        What is predicted.
+    richer : tuple of Fitted
+        Models of one product more.
+    """
+
+    piece: Piece
+    richer: tuple[Fitted, ...]
+
+    @property
+    def models(self) -> tuple[Fitted, ...]:
+        """Those of the piece."""
+        return self.piece.models
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Y (p, f, 4) at points (p, d) of the unit box, and the larger radius relative to the norm."""
+        y, radius = self.piece.evaluate(x)
+        bars = [relative_error(predict(model, x), self.piece.sure, (), ()) for model in self.richer]
+        return y, np.max([radius, *bars], axis=0)

@@ -1,0 +1,68 @@
+"""What a model may lack: products that the sweeps do not tell from those that it has."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seqsweep.identify.surrogate.certainty import certainty
+from seqsweep.identify.surrogate.design import WIDER, next_point
+from seqsweep.identify.surrogate.piece import Piece
+from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape
+from seqsweep.identify.surrogate.surrogate import build_surrogate
+
+from ..support.regions import PQV, TURBINE, errors_of, unseen
+
+PLANE = Shape(((0, 0), (0, 1), (1, 0)), ())
+CROSS = np.array(
+    [[1.0, 0.0], [-1.0, 0.02], [0.5, 0.0], [-0.5, -0.02], [0.02, 1.0], [0.0, -1.0], [-0.02, 0.5], [0.0, 0.0]]
+)
+CORNER = np.array([[1.0, 1.0]])
+
+
+def plane_with(x):
+    """A device of a constant and two slopes but for 1e-6, modelled as such from sweeps x (m, 2)."""
+    random = np.random.default_rng(3)
+    y = (1.0 + 0.3 * x[:, 0] - 0.2j * x[:, 1])[None, :, None] * np.array([1.0, 0.1, 0.1j, 1.0])
+    y = np.repeat(y, 5, axis=0) * (1.0 + 1e-6 * random.normal(size=(5, len(x), 4)))
+    data = Data(x, y, 1.0 / np.linalg.norm(y, axis=2))
+    fitted = fit_shape(data, PLANE)
+    return Piece((fitted,), certainty(fitted, data, None), data)
+
+
+def caution_of(piece, x):
+    """How many times the radius is larger for what the model may lack."""
+    return (piece.cautious.evaluate(x)[1] / piece.evaluate(x)[1]).max()
+
+
+def test_a_product_that_no_sweep_tells_is_in_the_cautious_radius():
+    """On a cross xy is next to nothing at every sweep, whatever its coefficient."""
+    assert caution_of(plane_with(CROSS), CORNER) > 10.0
+
+
+def test_where_the_sweeps_tell_every_product_caution_costs_little():
+    grid = np.array([[a, b] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
+    assert 1.0 <= caution_of(plane_with(grid), CORNER) < 2.0
+
+
+def test_caution_leaves_the_prediction_alone():
+    piece = plane_with(CROSS)
+    assert np.array_equal(piece.cautious.evaluate(CORNER)[0], piece.evaluate(CORNER)[0])
+
+
+BLIND = np.transpose(
+    [
+        [1.25, 0.2, 0.87, 1.3, 0.25, 0.41, 1.09, 0.63, 0.2, 0.23, 0.2, 0.2],
+        [-0.25, 0.25, 0.09, -0.4, 0.4, -0.36, 0.36, -0.09, -0.4, 0.08, 0.0, 0.4],
+        [1.02, 1.06, 1.09, 0.9, 0.91, 1.1, 0.94, 0.98, 0.9, 0.92, 0.98, 1.1],
+    ]
+)
+"""Twelve points (MW, Mvar, pu) that a region was certified from while a product hid among those of the model."""
+
+
+def test_a_turbine_that_hides_a_product_from_twelve_sweeps_is_not_certified():
+    surrogate = build_surrogate([TURBINE.swept(point) for point in BLIND], region=PQV)
+    points = unseen(PQV, 60, 20250)
+    off, _ = errors_of(surrogate, points, np.array([TURBINE.exact(point) for point in points]))
+    assert off.max() > 1e-4
+    assert WIDER * surrogate.worst_bar[0] < 1e-4
+    assert WIDER * next_point(surrogate, PQV)[1] > 1e-4
