@@ -72,6 +72,11 @@ class Cautious:
         """Those of the piece."""
         return self.piece.models
 
+    @property
+    def cautious(self) -> Cautious:
+        """Itself."""
+        return self
+
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Y (p, f, 4) at points (p, d) of the unit box, and the larger radius relative to the norm."""
         y, radius = self.piece.evaluate(x)
