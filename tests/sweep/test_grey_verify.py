@@ -421,7 +421,7 @@ grid = { r_ohm = 0.012, x_ohm = 0.25, scale = 1.4 }
 [sweep]
 f_min_hz = 2.0
 f_max_hz = 1000.0
-points = 60
+points = 30
 """
 
 

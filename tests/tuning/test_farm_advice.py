@@ -106,16 +106,17 @@ def _response(p_mw: float, v_pu: float) -> FrequencyResponse:
     return FrequencyResponse(F_HZ, y, 50.0, covariance=1e-14 * size**2 * np.eye(8), meta=meta)
 
 
-def _power_lever(region) -> PowerLever:
+@pytest.fixture(scope="module")
+def power_lever(region) -> PowerLever:
     devices = [
         {"name": f"wt{k}", "bus": f"t{k}", "table": "r", "active_power_mw": p / 1e6} for k, p in enumerate(POWERS_W)
     ]
     return PowerLever(farm_of({**document(STAR, 3), "device": devices}), Library(lambda name: region))
 
 
-def test_less_power_moves_the_mode_and_restores_it_as_in_the_exact_farm(region):
+def test_less_power_moves_the_mode_and_restores_it_as_in_the_exact_farm(power_lever):
     """Slopes within one per cent: they count that voltages and angles of all devices move as well."""
-    advice = advise(_power_lever(region), Damping(0.08, 0.95))
+    advice = advise(power_lever, Damping(0.08, 0.95))
     critical = int(np.argmax([mode.pole.real for mode in advice.base.judgement.modes]))
     none = np.zeros(3)
     for k in range(3):
@@ -127,10 +128,9 @@ def test_less_power_moves_the_mode_and_restores_it_as_in_the_exact_farm(region):
         assert _damping(truth(none, list(POWERS_W - 1e6 * choice.changes))) == pytest.approx(0.08, abs=5e-4)
 
 
-def test_less_power_that_restores_the_margin_holds_it_where_the_farm_then_stands(region):
+def test_less_power_that_restores_the_margin_holds_it_where_the_farm_then_stands(power_lever):
     """m of the explicit farm's admittance is not at hand; that the farm at 1.25 times Z is just stable is."""
-    lever = _power_lever(region)
-    (least, few, same) = advise(lever, SourceMargin(1.25)).choices
+    (least, few, same) = advise(power_lever, SourceMargin(1.25)).choices
     for choice in (least, few, same):
         assert choice.holds
         assert crossing_at_source(choice.farm).m == pytest.approx(1.25, abs=5e-3)
@@ -140,22 +140,22 @@ def test_less_power_that_restores_the_margin_holds_it_where_the_farm_then_stands
 def test_the_margin_s_error_is_that_of_noisy_tables():
     """Pairs of noisy tables: their m scatters by what one of them states."""
     found = []
-    for seed in range(24):
+    for seed in range(16):
         rough = {f"t{k}": _noisy(table_of(0.6e6, 690.0), 1e-3, 100 * seed + k) for k in range(2)}
         found.append(margin_at_source(judged(farm_of(document(STAR, 2)), rough.__getitem__)))
     scatter = np.std([margin.crossing.m for margin in found], ddof=1)
     assert scatter == pytest.approx(np.median([margin.std for margin in found]), rel=0.4)
 
 
-def test_a_demand_that_holds_asks_for_nothing(region):
-    advice = advise(_power_lever(region), Damping(0.01, 0.95))
+def test_a_demand_that_holds_asks_for_nothing(power_lever):
+    advice = advise(power_lever, Damping(0.01, 0.95))
     assert all(choice.holds and not np.any(choice.changes) for choice in advice.choices)
 
 
-def test_a_demand_beyond_reach_is_said_to_be_missed(region, monkeypatch):
+def test_a_demand_beyond_reach_is_said_to_be_missed(power_lever, monkeypatch):
     """By the first of the ways, as by each."""
     monkeypatch.setattr(restore, "WAYS", {"least norm": restore.WAYS["least norm"]})
-    (least,) = advise(_power_lever(region), Damping(0.6, 0.95)).choices
+    (least,) = advise(power_lever, Damping(0.6, 0.95)).choices
     assert not least.holds
     assert least.excess > 0.0
 
