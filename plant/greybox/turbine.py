@@ -68,9 +68,6 @@ _FALLBACK = "fork" if sys.platform == "linux" else "copy"
 
 LONGEST_SAMPLE_S = 1e-3
 
-POSITIONS_KEPT = 104
-"""Processes at positions: one for each shot of the largest batch, and some to spare."""
-
 PROBE_PU = 0.02
 """Peak of the perturbation that tells whether the declared states are all there are."""
 
@@ -266,7 +263,7 @@ class GreyTurbine:
         return self._by_forks() if _FALLBACK == "fork" else self._by_copies()
 
     def _by_forks(self) -> Branched:
-        return Branched(Forks(partial(_forwards, partial(self._build, self._offer.open)), warm_up, POSITIONS_KEPT))
+        return Branched(Forks(partial(_forwards, partial(self._build, self._offer.open)), warm_up))
 
     def _by_copies(self) -> Branched:
         return Branched(Replays(partial(_forwards, partial(self._build, self._offer.open_copy))))

@@ -30,12 +30,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from .processes import adopt_orphans, die_with_parent, how_it_ended
-from .store import BRANCHED_FROM, Action, Way
+from .store import BRANCHED_FROM, Action, Room, Way, outdated
 
 T = TypeVar("T")
 
-MOST_KEPT = 24
-"""Positions kept as processes; the one that was not needed for longest goes first."""
+ROOM = Room(branches=104)
+"""Positions kept as processes: branches for each shot of the largest batch, and some to spare."""
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -57,14 +57,12 @@ class Forks:
         Makes the box, in the first of these processes; can be pickled.
     prepare : callable, optional
         What is done once before anything is forked, such as compiling kernels; can be pickled.
-    most_kept : int
-        Positions kept as processes.
+    room : Room
+        How many positions are kept as processes; see `outdated`.
     """
 
-    def __init__(
-        self, build: Callable[[], Any], prepare: Callable[[], object] | None = None, most_kept: int = MOST_KEPT
-    ):
-        self._setting = (build, prepare, most_kept)
+    def __init__(self, build: Callable[[], Any], prepare: Callable[[], object] | None = None, room: Room = ROOM):
+        self._setting = (build, prepare, room)
         self._nursery: tuple[subprocess.Popen[bytes], Connection] | None = None
 
     def act(self, way: Way, action: Action) -> Any:
@@ -155,10 +153,10 @@ class _Bury(NamedTuple):
 class _Nursery:
     """All positions by the way to them, the cold start being the empty way."""
 
-    def __init__(self, build: Callable[[], Any], prepare: Callable[[], object] | None, most_kept: int):
+    def __init__(self, build: Callable[[], Any], prepare: Callable[[], object] | None, room: Room):
         if prepare is not None:
             prepare()
-        self._build, self._most = build, most_kept
+        self._build, self._room = build, room
         self._kept: OrderedDict[Way, _Keeper] = OrderedDict()
 
     def act(self, way: Way, action: Action) -> bytes:
@@ -226,9 +224,7 @@ class _Nursery:
         if way in self._kept:
             self._end(way)
         self._kept[way] = keeper
-        while len(self._kept) > self._most + 1:
-            if (gone := next((other for other in self._kept if way[: len(other)] != other), None)) is None:
-                return  # the way to the newcomer stays, from the cold start on
+        while (gone := outdated(self._kept, self._room, way)) is not None:
             self._end(gone)
 
     def _end(self, way: Way) -> None:

@@ -19,8 +19,8 @@ lost or let go, the store goes the way again from the nearest one that is left.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, Protocol
 
 Action = Callable[[Any], Any]
 """Something done with a box: a hashable value that can be pickled, and does the same every time."""
@@ -30,6 +30,41 @@ Way = tuple[Action, ...]
 
 BRANCHED_FROM = 1
 """Positions up to so many actions stay where they are: the cold start and, after one, the settled box."""
+
+
+SETTLED_KEPT = 64
+"""Settled boxes, one for each operating point, that are kept however many branches were begun since: an adaptive sweep
+comes back to all of its operating points in every round."""
+
+
+class Room(NamedTuple):
+    """How many positions are kept: branches, and settled boxes (with the cold start, where that is kept)."""
+
+    branches: int
+    settled: int = SETTLED_KEPT
+
+
+def outdated(kept: Iterable[Way], room: Room, newcomer: Way) -> Way | None:
+    """The position to let go when ``newcomer`` was kept, if there is one too many.
+
+    Branches, and the positions that stay where they are, are counted apart: those of shots that are over must not drive
+    out a settled box. Of either kind goes the one that was not needed for longest, unless it is on the newcomer's way.
+
+    Parameters
+    ----------
+    kept : iterable of ways
+        In the order in which they were needed.
+    room : Room
+        How many there may be.
+    newcomer : way
+        Spared, and all that leads to it.
+    """
+    ways = list(kept)
+    for of_branches, most in ((True, room.branches), (False, room.settled)):
+        alike = [way for way in ways if (len(way) > BRANCHED_FROM) == of_branches]
+        if len(alike) > most:
+            return next((way for way in alike if newcomer[: len(way)] != way), None)
+    return None
 
 
 class StateStore(Protocol):

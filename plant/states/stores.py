@@ -9,10 +9,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from .store import BRANCHED_FROM, Action, BoxLost, Way
+from .store import BRANCHED_FROM, Action, BoxLost, Room, Way, outdated
 
-SNAPSHOTS_KEPT = 128
-"""One for each shot of the largest batch, and some to spare."""
+ROOM = Room(branches=128)
+"""Positions kept as snapshots: branches for each shot of the largest batch, and some to spare."""
 
 BOXES_KEPT = 4
 """Boxes that stand at different places; a shot and its reference go on without being replayed."""
@@ -43,12 +43,12 @@ class Snapshots:
     ----------
     build : callable
         Makes the box, when it is first needed and whenever it is lost.
-    most_kept : int
-        Positions kept at once; the one that was not needed for longest goes first.
+    room : Room
+        How many positions are kept at once; see `outdated`.
     """
 
-    def __init__(self, build: Callable[[], SnapshotBox], most_kept: int = SNAPSHOTS_KEPT):
-        self._build, self._most_kept = build, most_kept
+    def __init__(self, build: Callable[[], SnapshotBox], room: Room = ROOM):
+        self._build, self._room = build, room
         self._box: SnapshotBox | None = None
         self._kept: OrderedDict[Way, Any] = OrderedDict()
         self._stay: set[Way] = set()
@@ -84,8 +84,8 @@ class Snapshots:
         if way in self._kept:
             return
         self._kept[way] = box.save()
-        if len(self._kept) > self._most_kept:
-            self._let_go(next(iter(self._kept)), box)
+        if (gone := outdated(self._kept, self._room, way)) is not None:
+            self._let_go(gone, box)
 
     def _let_go(self, way: Way, box: SnapshotBox) -> None:
         box.drop(self._kept.pop(way))

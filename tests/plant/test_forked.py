@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from seqsweep.plant.states.forks import BoxDied, CannotFork, Forks
+from seqsweep.plant.states.store import Room
 
 from ..support.commands import TOP, is_alive, wait_for
 
@@ -113,7 +114,7 @@ def asks_one_that_hangs(way, told):
 
 @pytest.fixture
 def forks(monkeypatch):
-    kept = Forks(Counter, most_kept=4)
+    kept = Forks(Counter, room=Room(branches=4, settled=3))
     yield kept
     kept.close()
 
@@ -136,8 +137,8 @@ def test_the_same_job_again_is_answered_by_another_process_and_alike(forks):
 
 
 def test_a_position_that_was_let_go_is_reached_again_from_the_nearest_one(forks):
-    pids = [forks.act((Add(1),), Add(k))[2] for k in range(8)]  # nine positions, of which four are kept
-    wait_for(lambda: sum(is_alive(pid) for pid in pids) == 3)
+    pids = [forks.act((Add(1),), Add(k))[2] for k in range(8)]  # eight branches, of which four are kept
+    wait_for(lambda: sum(is_alive(pid) for pid in pids) == 4)
     assert forks.act((Add(1), Add(2)), Add(100))[:2] == (103, (1, 2, 100))
     way = tuple(Add(k) for k in range(1, 9))
     assert forks.act(way, Add(100))[:2] == (136, (*range(1, 9), 100))
@@ -172,6 +173,22 @@ def test_a_settled_box_that_is_let_go_takes_its_branches_along_and_comes_back(fo
             forks.act(way, Add(k))
     wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first))  # nor a zombie
     assert forks.act((Add(1), Add(2)), Add(3))[:2] == (6, (1, 2, 3))
+
+
+def test_branches_of_shots_that_are_over_do_not_drive_out_a_settled_box(tmp_path):
+    """Three operating points in rounds, as an adaptive sweep asks: each is settled once, however many branches came."""
+    book = tmp_path / "book"
+    points = [Notes(f"{book}{k}") for k in range(3)]
+    forks = Forks(Counter, room=Room(branches=4))
+    try:
+        for point in points:
+            forks.act((), point)
+        for way in [(point,) for point in points] * 3:
+            for k in range(6):
+                assert forks.act(way, Add(k))[0] == k
+    finally:
+        forks.close()
+    assert [Path(point.book).read_text() for point in points] == ["x"] * 3
 
 
 def test_a_settled_box_that_is_killed_is_settled_again(forks):

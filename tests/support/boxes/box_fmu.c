@@ -12,6 +12,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "counted.h"
 #include "fmi.h"
 
 #define THIRD 2.0943951023931953
@@ -117,6 +118,7 @@ static status step(Instance *c, double time, double size) {
     State *s = STATE_OF(c);
     if (c->broken) return Fatal;
     s->t = time;
+    count_a_step();
     terminals(s);
 #ifdef CONVERTER
     (void)branch;

@@ -11,7 +11,7 @@
    converter. Switches: HIDDEN_STATES keeps the state in statics instead of the declared arrays,
    BARE exports Model_GetInfo and Model_Outputs alone, SINGLE has float ports, PER_UNIT tells
    everything differently (see below), UNTIMED names no sample time, RMS is no
-   model for programs in time; see also faults.h. */
+   model for programs in time; see also faults.h and counted.h. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -75,6 +75,7 @@ typedef struct {
 
 #define N_DOUBLES ((int)(sizeof(memory) / sizeof(double)))
 
+#include "counted.h"
 #include "faults.h"
 
 static const tb958_signal input_ports[] = {
@@ -301,6 +302,7 @@ TB958_EXPORT int32_t Model_Outputs(tb958_instance *instance)
 {
     memory *m = memory_of(instance);
     const parameters *p = instance->parameters;
+    count_a_step();
     if (m->started == 0.0)
         start(m, instance->inputs, instance->outputs, p);
     control(m, instance->inputs, instance->outputs, p);
