@@ -15,7 +15,6 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any
 
@@ -24,6 +23,7 @@ import typer
 from ...plant.errors import SeqsweepError
 from . import faults
 from .commands import COMMANDS, epilog_of, meant_by
+from .interrupts import Interrupts
 from .kinds import refuse_others
 from .say import say, tell
 from .shared import FAULT, INTERRUPTED, MACHINE, OK, WRONG_INPUT
@@ -102,15 +102,24 @@ def console() -> None:
 
 
 def _status() -> int:
+    interrupts = Interrupts(lambda: f"interrupted{'; ' + GO_ON if _resumes() else ''}")
+    try:
+        interrupts.heed()
+        return interrupts.over(_of_the_command(interrupts))
+    except KeyboardInterrupt:  # while another error was dealt with
+        return interrupts.farewell()
+
+
+def _of_the_command(interrupts: Interrupts) -> int:
+    """Run the command; its exit status."""
     arguments, debug = faults.command_line()
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # matrices are small here: more threads only get in each other's way
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it looks for them among all that is installed
     warnings.filterwarnings("ignore", message=".*still being processed by the workers", category=UserWarning)  # joblib
-    with suppress(ValueError):  # only the main thread can be told
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout`, Slurm, docker stop: as Ctrl-C
     try:
-        result = _asked(arguments)(arguments, prog_name="seqsweep", standalone_mode=False)
+        with interrupts.foremost():
+            result = _asked(arguments)(arguments, prog_name="seqsweep", standalone_mode=False)
     except _USAGE_ERROR as error:
         if meant := _meant(arguments):
             tell(f"no command is called so; did you mean: seqsweep {meant}")
@@ -120,7 +129,7 @@ def _status() -> int:
             tell(usage.getvalue().rstrip())
         return WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
-        return _interrupted()
+        return interrupts.farewell()
     except SeqsweepError as error:
         tell(str(error))
         return WRONG_INPUT
@@ -142,7 +151,7 @@ def _status() -> int:
         typer.echo(details, err=True) if debug else tell(details)
         return FAULT
     if result == 128 + signal.SIGINT:  # what typer makes of Ctrl-C
-        return _interrupted()
+        return interrupts.farewell()
     return result if isinstance(result, int) else OK
 
 
@@ -163,11 +172,6 @@ def _in_words(error: OSError) -> str:
         return str(error)
     where = error.filename2 or error.filename
     return f"{where}: {error.strerror[:1].lower()}{error.strerror[1:]}"
-
-
-def _interrupted() -> int:
-    tell(f"interrupted{'; ' + GO_ON if _resumes() else ''}")
-    return INTERRUPTED
 
 
 def _began(arguments: Sequence[str]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
@@ -172,9 +173,42 @@ def _in_threads(work: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterat
 def _in_processes(work: Work, jobs: int, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
     """Batches to processes of our own: such a one would wait minutes for a runner that was killed, and goes with it."""
     from joblib import delayed, parallel_config
+    from joblib.externals.loky.backend import resource_tracker
 
+    _begin(resource_tracker)
     with parallel_config(backend="loky", n_jobs=jobs, initializer=die_with_parent, initargs=(os.getpid(),)):
-        yield from _joblib()(delayed(work)(batch) for batch in batches)
+        with _deaf():
+            coming = _joblib()(delayed(work)(batch) for batch in batches)
+        yield from coming
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes begun in the block do not hear Ctrl-C, which a terminal sends to them too: their runner ends them.
+
+    Nor do those that its threads begin later. Python itself would print where it was, also while it starts.
+    """
+    from multiprocessing import resource_tracker
+
+    _begin(resource_tracker)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(tracker: Any) -> None:
+    """Begin the process that removes locks and folders of processes that are gone; it is to do so without a word.
+
+    Begun later, within `_deaf`, it would make its parent hear again.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = "ignore"
+    try:
+        tracker.ensure_running()
+    finally:
+        os.environ.pop("PYTHONWARNINGS") if before is None else os.environ.update(PYTHONWARNINGS=before)
 
 
 def _joblib() -> Any:
@@ -246,7 +280,8 @@ def _begun(local_cluster: Any, jobs: int) -> Any:
     said = ""
     for _ in range(1 + RESTARTS):
         try:
-            return local_cluster(n_workers=jobs, threads_per_worker=1, **settings)
+            with _deaf():
+                return local_cluster(n_workers=jobs, threads_per_worker=1, **settings)
         except RuntimeError as error:
             said = str(error)
     raise OSError(f"dask could not start its workers {1 + RESTARTS} times in a row: {said}")

@@ -105,7 +105,8 @@ def command(*arguments):
 def _as_a_process(argv, out, err):
     """Folder, arguments, streams, warnings and modules of a process of its own, given back at the end."""
     kept_modules, kept_signals = set(sys.modules), {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
-    patches = [patch.object(sys, "argv", argv), patch.object(sys, "path", [*sys.path]), patch.dict(os.environ)]
+    kept = {"argv": argv, "path": [*sys.path], "unraisablehook": sys.unraisablehook}
+    patches = [*(patch.object(sys, name, value) for name, value in kept.items()), patch.dict(os.environ)]
     with ExitStack() as stack:
         for context in (*patches, chdir(HERE), warnings.catch_warnings(), _streams(out, err)):
             stack.enter_context(context)

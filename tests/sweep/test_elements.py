@@ -32,6 +32,7 @@ from ..support.commands import (
     shards_of,
     slow_campaign,
     start_held,
+    unfolded,
 )
 from ..support.controllers import COMPILER, needs_compiler
 
@@ -246,7 +247,7 @@ def test_an_output_that_is_moved_during_the_run_costs_one_line(tmp_path):
     finally:
         end_group(process)
     assert process.returncode == MACHINE, said
-    assert "was moved or removed while the run was at work" in said.splitlines()[-1]
+    assert "was moved or removed while the run was at work" in unfolded(said).splitlines()[-1]
     assert "Warning" not in said
 
 
