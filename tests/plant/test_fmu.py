@@ -164,20 +164,20 @@ def test_the_table_remembers_which_file_it_was(built):
 # Bad boxes
 
 FAULTS = {  # in the order of the enum in box_fmu.c: (status, words)
-    "errs": ("failed", "fmi2DoStep answered error at 2 s; it says: theta left the circle"),
+    "errs": ("failed", "fmi2DoStep answered error at 1.5 s; it says: theta left the circle"),
     "prints": ("ok", ""),
     "sleeps": (),  # in a test of its own: no time limit is short for it and long for the others on any machine
     "leaks": ("ok", ""),
     "nans": ("diverged", "the response is not finite"),
     "aborts": ("failed", "died: SIGABRT, last words 'assertion failed: theta < 2 pi'"),
     "segfaults": ("failed", "died: SIGSEGV"),
-    "discards": ("failed", "fmi2DoStep answered discard at 2 s"),
+    "discards": ("failed", "fmi2DoStep answered discard at 1.5 s"),
 }
 
 
 def going_wrong(folder, box, powers, timeout_s, f_hz):
-    """A campaign of a box that misbehaves from 2 s on, as the powers say."""
-    lines = f"timeout_s = {timeout_s}\n" + toml(start={"fault": -1.0, "after_s": 1.99999})
+    """A campaign of a box that misbehaves from 1.5 s on, as the powers say."""
+    lines = f"timeout_s = {timeout_s}\n" + toml(start={"fault": -1.0, "after_s": 1.49999})
     path = campaign(folder, plant=f"fmu:{box}", plant_lines=lines, powers=powers)
     path.write_text(path.read_text().replace("f_min_hz = 20.0\nf_max_hz = 900.0\npoints = 8", f"f_hz = {f_hz}"))
     return path
@@ -193,9 +193,9 @@ def going_wrong(folder, box, powers, timeout_s, f_hz):
     ids=["state", "fork", "FMI 3"],
 )
 def test_every_bad_box_costs_its_own_points_with_the_reason(tmp_path, built, defines, faults):
-    """It goes wrong 2 s after its start, differently at each operating point: the window near f1 meets that."""
+    """It goes wrong 1.5 s after its start, differently at each operating point: the window near f1 meets that."""
     powers = [0, *(1 + list(FAULTS).index(fault) for fault in faults)]
-    path = going_wrong(tmp_path, built(*defines), powers, 300.0, [49.0, 300.0])
+    path = going_wrong(tmp_path, built(*defines), powers, 300.0, [45.0, 300.0])
     status, said = ended("run", path, "-o", tmp_path / "y.parquet", env=_environment(tmp_path))
     assert status == 1, said
     assert "Traceback" not in said
@@ -211,7 +211,7 @@ def test_every_bad_box_costs_its_own_points_with_the_reason(tmp_path, built, def
 
 @pytest.mark.parametrize("defines", [["STATE"], []], ids=["state", "fork"])
 def test_a_box_that_sleeps_is_ended_by_the_time_limit(tmp_path, built, defines):
-    path = going_wrong(tmp_path, built(*defines), [1 + list(FAULTS).index("sleeps")], 0.5, [49.0])
+    path = going_wrong(tmp_path, built(*defines), [1 + list(FAULTS).index("sleeps")], 0.5, [45.0])
     status, said = ended("run", path, "-o", tmp_path / "y.parquet", env=_environment(tmp_path))
     assert status == 1, said
     (response,) = read_table(tmp_path / "y.parquet").responses
