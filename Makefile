@@ -14,8 +14,9 @@ demo: $(READY)
 	$(BIN)/seqsweep run examples/table1.toml -o build/table1.parquet --force
 	$(BIN)/seqsweep show build/table1.parquet --plot build/table1.png
 
+# Three workers on two cores: tests that wait for a time limit or for a process to end leave a core to others.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --durations-min=1
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations=20 --durations-min=1
 
 lint: $(READY)
 	$(BIN)/ruff check .

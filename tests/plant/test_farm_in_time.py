@@ -214,13 +214,13 @@ def test_a_turbine_that_is_put_in_brings_the_farm_to_its_load_flow():
     step = NetworkStep(0.1, circuit, (True,) * 3, tuple(complex(v) for v in three), "third in")
     start = (*(complex(v) for v in two), 690.0 + 0j)
     scenario = FarmScenario(circuit, 690.0, (True, True, False), start, ("bus", "source"), 563.4, (step,))
-    found = simulate_farm(farm, scenario, None, 1.2)
+    found = simulate_farm(farm, scenario, None, 0.8)
     assert np.all(found.devices[2].i[:2000] == 0.0)
     assert found.lost_s is None
     for k, of in enumerate(found.devices):
         assert abs(of.v[-1]) * np.sqrt(1.5) == pytest.approx(abs(three[k]), rel=2e-4)
     out = replace(step, connected=(True, True, False), what="third out", time_s=0.3)
-    left = simulate_farm(farm, replace(scenario, events=(step, out)), None, 1.2)
+    left = simulate_farm(farm, replace(scenario, events=(step, out)), None, 0.8)
     assert abs(left.devices[0].v[-1]) * np.sqrt(1.5) == pytest.approx(abs(two[0]), rel=2e-4)
 
 

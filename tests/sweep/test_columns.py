@@ -55,7 +55,7 @@ CALLS = {
     "tune at several scales": ["tune", "turbine.parquet", "--grid", "0.012+0.25j", "--scale", "0.5,1,2.5"],
     "tune a strange unit": ["tune", "turbine.parquet", "--grid", "12+250j"],
     "judge": ["judge", "turbine.parquet", "--grids", "bank", "--jobs", "1", "--elements", "3"],
-    "judge one": ["judge", "turbine.parquet", "--grids", EXAMPLES / "grids" / "loci.toml", "--jobs", "1"],
+    "judge one": ["judge", "turbine.parquet", "--grids", "loci.toml", "--jobs", "1"],
     "verify": ["verify", "tuning.json", "--op", "a_turbine_with_a_rather_long_name"],
     "grid": ["grid", EXAMPLES / "grid.toml", "--op", "table1", "--duration-s", "0.4"],
     "surrogate": ["surrogate", "farm/turbine.parquet", "--at", "0.5,0,1.0", "--grid", "0.012+0.25j", "-o", "s.parquet"],
@@ -93,6 +93,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     family = family.replace("steps = 10", "steps = 3").replace("[5, 10, 20, 30, 40]", "20")
     (folder / "bank" / "family.toml").write_text(family, "utf-8")
     (folder / "bank" / "a_file_with_a_long_name_that_is_no_grid_at_all.csv").write_text("f,R\n1,2\n")
+    regions = (EXAMPLES / "grids" / "loci.toml").read_text("utf-8").split("[[region]]")
+    (folder / "loci.toml").write_text("[[region]]".join(regions[:5]), "utf-8")
     shutil.copytree(EXAMPLES / "farm", folder / "farm")
     return folder
 

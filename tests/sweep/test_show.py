@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.identify.table.format import TableError
 from seqsweep.identify.table.write import write_table
+from seqsweep.identify.views import bode as views
 from seqsweep.identify.views.bode import MAX_OVERLAID, _without_streaks, bode, bode_figure
 from seqsweep.identify.views.style import SUFFIXES
 from seqsweep.sweep.report.summary import LISTED_UP_TO, MIN_WIDTH, summary
@@ -216,11 +218,20 @@ def test_a_plot_names_device_frequencies_and_mirror(drawn: Path) -> None:
     assert "95 % interval" in text
 
 
-def test_few_operating_points_are_overlaid_and_of_many_the_chosen_one_is_drawn(many: Path, tmp_path: Path) -> None:
+def test_few_operating_points_are_overlaid_and_of_many_the_chosen_one_is_drawn(
+    many: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The figures themselves: that they are written in every format is seen above."""
+    figures: list[Figure] = []
+    monkeypatch.setattr(views, "write_figure", lambda path, make: figures.append(make()))
     few = [response(f"p{k}", 0.2 * (k + 1)) for k in range(MAX_OVERLAID)]
-    assert len(bode(few, tmp_path / "few.svg")) == MAX_OVERLAID
-    assert bode(many, tmp_path / "many.svg") == ("p00",)
-    assert bode(many, tmp_path / "many.svg", "p17") == ("p17",)
+    assert bode(few, "few.svg") == tuple(f"p{k}" for k in range(MAX_OVERLAID))
+    assert bode(many, "many.svg") == ("p00",)
+    assert bode(many, "many.svg", "p17") == ("p17",)
+    overlaid, first, chosen = figures
+    assert len(overlaid.axes[0].get_lines()) >= MAX_OVERLAID * len(first.axes[0].get_lines()) // 2
+    assert "p00" in first.get_suptitle()
+    assert "p17" in chosen.get_suptitle()
 
 
 def test_rows_without_a_value_leave_a_mark_and_a_gap_but_no_line() -> None:
