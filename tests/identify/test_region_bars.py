@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ pytest.importorskip("sklearn", reason="the extra 'test' is not installed")
 
 from operating_region import bars, campaigns, verdicts
 from operating_region.designs import Truth, certified, grown, noisy, swept_by
+from operating_region.kept import Kept
 from operating_region.rival import build_rival
 
 
@@ -86,3 +88,30 @@ def test_the_droop_inverter_swept_by_run_is_certified_within_25_sweeps():
         print(f"\n  seed {seed}: {told}", end="", flush=True)
         assert found.sweeps <= 25
         assert found.off <= 8e-3
+
+
+class InTurn:
+    """Answers at once, in this process."""
+
+    map = staticmethod(map)
+
+
+def kept_in(folder):
+    return Kept(InTurn(), 2, folder, Path(__file__).parents[2])
+
+
+def test_answers_of_the_benchmark_are_kept_and_what_was_cut_off_is_asked_again(tmp_path):
+    asked = []
+
+    def doubled(of, seed):
+        asked.append((of, seed))
+        return 2 * seed
+
+    assert list(kept_in(tmp_path).map(partial(doubled, "ours"), range(3))) == [0, 2, 4]
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-3])  # as a run that is killed leaves it
+    again = kept_in(tmp_path)
+    assert list(again.map(partial(doubled, "ours"), range(1, 5))) == [2, 4, 6, 8]
+    assert list(again.map(partial(doubled, "rival"), range(1))) == [0]
+    assert asked == [*(("ours", seed) for seed in (0, 1, 2, 2, 3, 4)), ("rival", 0)]
+    assert list(kept_in(tmp_path).map(partial(doubled, "ours"), range(5))) == [0, 2, 4, 6, 8]
