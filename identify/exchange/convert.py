@@ -16,7 +16,7 @@ from ..response import Frame, FrequencyResponse
 from ..table.format import CARRIED, TableError, complete_metadata
 from ..table.rules import metadata_violations, row_violations
 from ..table.write import rows_of
-from .facts import OPTIONS, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
+from .facts import OPTIONS, SET_POINT, TABLE_FACTS, ExchangeError, Facts, Found, Sheet, file_digest, need_all
 
 MIRRORED = 1e-2
 """Part of Y by which a row and that of its mirror may differ."""
@@ -63,9 +63,9 @@ def to_table(found: Found, path: str | Path) -> tuple[list[FrequencyResponse], d
 
 def _point(sheet: Sheet, facts: Facts, number: int, n_sheets: int) -> dict[str, Any]:
     """Metadata of an operating point; what nobody knows is null, and a single one may be named by the user."""
-    given = {key: facts.get(key) for key in ("op_id", "active_power_mw", "terminal_voltage_pu")}
+    given = {key: facts.get(key) for key in ("op_id", *SET_POINT)}
     said = {key: sheet.point.get(key) for key in given}
-    known = {key: sheet.point[key] for key in CARRIED if key in sheet.point}
+    known = {key: sheet.point[key] for key in (*CARRIED, "parameters") if key in sheet.point}
     if facts.get("stable_on") is not None:
         known["stable_on"] = stated(facts["stable_on"])
     if n_sheets == 1:
@@ -74,6 +74,8 @@ def _point(sheet: Sheet, facts: Facts, number: int, n_sheets: int) -> dict[str, 
         raise ExchangeError(
             "the file holds several operating points; their names and values are its own: leave them out"
         )
+    if said["reactive_power_mvar"] is None:  # optional in the metadata, where the others are null
+        del said["reactive_power_mvar"]
     return {**said, **known, "op_id": str(said["op_id"] or f"imported{number if n_sheets > 1 else ''}")}
 
 

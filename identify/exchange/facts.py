@@ -60,6 +60,9 @@ UNITS = {
 TABLE_FACTS = ("frame", "direction", "f1_hz", "quantity", "rated_voltage_v", "rated_power_va")
 """Facts without which there is no table."""
 
+SET_POINT = ("active_power_mw", "reactive_power_mvar", "terminal_voltage_pu")
+"""What an operating point is given by, as far as it is known."""
+
 Facts = Mapping[str, Any]
 
 
@@ -81,7 +84,7 @@ class Sheet:
     matrix : (n, 2, 2) complex
         S or ohm; NaN where the file has a failed row.
     point : mapping
-        ``op_id``, ``active_power_mw``, ``terminal_voltage_pu`` as far as they are known.
+        ``op_id``, `SET_POINT` and ``parameters`` as far as they are known.
     status, reason : (n,) str or None
         As in the table; None where the file knows no such thing: all "ok".
     quality : mapping of str to (n,) float

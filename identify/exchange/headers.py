@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ..table.format import ELEMENTS, QUALITY
-from .facts import ExchangeError
+from .facts import SET_POINT, ExchangeError
 
 DQ_ELEMENTS = ("dd", "dq", "qd", "qq")
 POSITION = {
@@ -41,6 +43,16 @@ _GLUED = re.compile(
 
 _TERMINALS = ("terminal", "bus", "node", "busbar")
 
+_MEGA = {"MW": 1.0, "kW": 1e-3, "W": 1e-6}
+_MEGAVAR = {
+    **dict.fromkeys(("Mvar", "MVar", "MVAr", "MVAR"), 1.0),
+    **dict.fromkeys(("kvar", "kVar", "kVAr", "kVAR"), 1e-3),
+    **dict.fromkeys(("var", "Var", "VAr", "VAR"), 1e-6),
+}
+SET_POINT_UNITS = {"p": ("active_power_mw", _MEGA), "q": ("reactive_power_mvar", _MEGAVAR)}
+SET_POINT_UNITS |= dict.fromkeys(("v", "u"), ("terminal_voltage_pu", {"pu": 1.0}))
+"""Letters of the operating point in a header: what they mean, and the units that tell them from other columns."""
+
 _FREQUENCY = {"f": None, "freq": None, "frequency": None, "omega": "rad/s", "w": "rad/s", "hz": "Hz"}
 
 
@@ -50,7 +62,7 @@ class Column(NamedTuple):
     Attributes
     ----------
     what : str
-        "f", "value", "terminal", "other" or the name of a further column of the table.
+        "f", "value", "terminal", "other", one of `SET_POINT`, or the name of a further column of the table.
     element, part : str
         Of a value: "pp", "dq", "21"; "re", "im", "mag", "phase" or "complex".
     unit, quantity : str or None
@@ -89,7 +101,7 @@ def column_of(header: str) -> Column:
     if found := re.search(r"\[\s*([^\[\]]+?)\s*\]$|\(\s*([^()]+?)\s*\)$", text):
         unit = _UNITS.get(found[1] or found[2], found[1])
         text = text if unit is None else text[: found.start()].rstrip()
-    if text in (*QUALITY, "op_id", "status", "reason"):
+    if text in (*QUALITY, *SET_POINT, "op_id", "status", "reason"):
         return Column(text)
     text = re.sub(r"\s+in\s+\(?([^\s()]+)\)?$", _named_unit, text) if unit is None else text
     tokens = [token for token in re.split(r"[\W_]+", text.replace("|", " abs ").replace("∠", " phase ")) if token]
@@ -97,7 +109,22 @@ def column_of(header: str) -> Column:
     if first in _FREQUENCY and "mirror" not in tokens:
         named = next((_UNITS[token] for token in tokens if token.lower() in ("hz", "khz") and token in _UNITS), None)
         return Column("f", unit=unit or named or _FREQUENCY[first])
-    return _value_column(tokens, unit)
+    return _set_point_column(tokens, unit) or _value_column(tokens, unit)
+
+
+def _set_point_column(tokens: Sequence[str], unit: str | None) -> Column | None:
+    """``P [MW]``, ``Q_Mvar`` or ``|V| (pu)``: a letter and a unit of its own; None for anything else."""
+    words = [token for token in tokens if token != "abs"] + ([] if unit is None else [unit])
+    if len(words) != 2 or words[0].lower() not in SET_POINT_UNITS:
+        return None
+    what, factors = SET_POINT_UNITS[words[0].lower()]
+    return Column(what, unit=words[1]) if words[1] in factors else None
+
+
+def in_table_units(column: Column, values: np.ndarray) -> np.ndarray:
+    """Set-points in MW, Mvar and pu."""
+    factors = next(factors for what, factors in SET_POINT_UNITS.values() if what == column.what)
+    return np.asarray(values * (1.0 if column.unit is None else factors[column.unit]))
 
 
 def _named_unit(found: re.Match[str]) -> str:

@@ -21,6 +21,7 @@ from ..table.format import QUALITY, std_of
 from .convert import Outgoing, the_one
 from .facts import (
     MAX_BYTES,
+    SET_POINT,
     TABLE_FACTS,
     ExchangeError,
     Facts,
@@ -39,7 +40,7 @@ _HEADER = b"MATLAB 5.0 MAT-file, written by seqsweep".ljust(116)
 _COMPRESSED = 15
 _PIECE = 2**20
 _TEXTS = ("frame", "direction", "quantity", "unit", "frequency_unit", "q_axis", "power_meaning", "op_id")
-_NUMBERS = ("f1_hz", "rated_voltage_v", "rated_power_va", "active_power_mw", "terminal_voltage_pu")
+_NUMBERS = ("f1_hz", "rated_voltage_v", "rated_power_va", *SET_POINT)
 _FREQUENCIES = {
     **{"f_hz": "Hz", "freq_hz": "Hz", "frequency_hz": "Hz", "w": "rad/s", "omega": "rad/s", "w_rad_s": "rad/s"},
     **dict.fromkeys(("f", "freq", "freqs", "frequency", "frequencies")),
@@ -70,7 +71,7 @@ def write_mat(path: str | Path, out: Outgoing) -> None:
         "reason": np.array(response.reason, dtype=object)[:, np.newaxis],
         **{name: values[:, np.newaxis] for name, values in response.quality.items()},
         **out.facts,
-        **{key: np.nan if point[key] is None else point[key] for key in ("active_power_mw", "terminal_voltage_pu")},
+        **{key: np.nan if point[key] is None else point[key] for key in SET_POINT if key in point},
         "op_id": point["op_id"],
     }
     if response.frame == "pn":

@@ -27,6 +27,7 @@ from ..response import FrequencyResponse
 from ..table.format import ELEMENTS, QUALITY, canonical_json, std_of
 from .convert import Outgoing
 from .facts import (
+    SET_POINT,
     TABLE_FACTS,
     ExchangeError,
     Facts,
@@ -46,6 +47,7 @@ from .headers import (
     POSITION,
     Column,
     column_of,
+    in_table_units,
     one_terminal,
     said_by_columns,
     variables_header,
@@ -365,20 +367,48 @@ def _sheets(
 ) -> tuple[Sheet, ...]:
     """One sheet per operating point, in the order of the file."""
     named = {column.what: values for column, values in zip(columns, cells, strict=True)}
-    op_id = named.get("op_id", np.full(len(f_hz), ""))
+    set_points = _set_points(columns, cells)
     quality = {key: named[key] for key in QUALITY if key in named}
     points = {str(point.get("op_id")): point for point in points_of(said)}
     sheets = []
-    for name in dict.fromkeys(op_id.tolist()):
-        rows = op_id == name
+    for name, rows in _rows_of_points(named.get("op_id"), set_points, len(f_hz)):
+        own = {key: float(values[rows][0]) for key, values in set_points.items() if len(set(values[rows])) == 1}
         sheets.append(
             Sheet(
                 f_hz[rows],
                 matrix[rows],
-                {**points.get(name, {}), "op_id": name or None},
+                {**own, **points.get(name, {}), "op_id": name or None},
                 named["status"][rows] if "status" in named else None,
                 named["reason"][rows] if "reason" in named else None,
                 {key: values[rows] for key, values in quality.items()},
             )
         )
     return tuple(sheets)
+
+
+def _set_points(columns: Sequence[Column], cells: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns (n,) of powers and voltages that stand beside the rows, in MW, Mvar and pu."""
+    return {
+        column.what: in_table_units(column, values)
+        for column, values in zip(columns, cells, strict=True)
+        if column.what in SET_POINT and np.all(np.isfinite(values))
+    }
+
+
+def _rows_of_points(
+    op_id: np.ndarray | None, set_points: Mapping[str, np.ndarray], n: int
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and rows (n,) bool of every operating point: by its name, else by its powers and voltage.
+
+    Values that differ in every row were measured beside it: then all rows are of one operating point.
+    """
+    if op_id is not None:
+        yield from ((name, op_id == name) for name in dict.fromkeys(op_id.tolist()))
+        return
+    each = list(zip(*(values.tolist() for values in set_points.values()), strict=True)) or [()] * n
+    distinct = dict.fromkeys(each)
+    if len(distinct) == n:
+        yield "", np.ones(n, dtype=bool)
+        return
+    for point in distinct:
+        yield "", np.array([own == point for own in each])
