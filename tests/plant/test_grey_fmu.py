@@ -26,9 +26,9 @@ from seqsweep.plant.states.stores import Snapshots
 
 from ..support import oracle
 from ..support.commands import ended
-from ..support.controllers import INPUTS, INPUTS_2, OUTPUTS, OUTPUTS_2, build, build_fmu, needs_compiler
+from ..support.controllers import INPUTS, INPUTS_2, OUTPUTS, OUTPUTS_2, alone_us, build, build_fmu, needs_compiler
 from ..sweep.test_accuracy import IN_PLACE, P_MW, U_V, relative, report, swept
-from .test_grey import BAND, FEW, POINT, TONE, alone_us, answers, linearised, time_of_example
+from .test_grey import BAND, FEW, POINT, TONE, answers, linearised, time_of_example
 
 pytestmark = needs_compiler
 
@@ -329,7 +329,7 @@ def test_a_hundred_points_with_an_fmu_take_less_than_twenty_seconds_on_two_cores
 
 
 @pytest.mark.evidence
-def test_the_host_of_an_fmu_costs_at_most_a_third_of_a_microsecond_a_step():
+def test_the_host_of_an_fmu_costs_at_most_150_ns_a_step():
     """CPU time of the loop, circuit and listening included, less that of the controls alone, called as a library:
     what the FMU itself spends in setting and getting its variables counts as the host's."""
     device = plant("STATE")  # with it its files would go
@@ -346,4 +346,4 @@ def test_the_host_of_an_fmu_costs_at_most_a_third_of_a_microsecond_a_step():
         alone_us(controller.library.function("Model_Outputs"), int(controller.addresses[1]), n_steps) for _ in range(5)
     )
     print(f"\n  FMU: {min(whole):.3f} us a step, of which the controls' own code {alone:.3f} us", end="")
-    assert min(whole) - alone <= 0.3
+    assert min(whole) - alone <= 0.15

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import shutil
 import subprocess
 import tempfile
+import time
 import zipfile
 from functools import cache
 from pathlib import Path
@@ -167,3 +169,20 @@ INVERTER_CIRCUIT = {
     "c_dc_f": 1e9,
     "v_dc_ref_v": 1200.0,
 }
+
+
+def alone_us(function, argument, n_steps):
+    """Price of one bare call from a compiled loop (us)."""
+    from numba import njit
+
+    call = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(ctypes.cast(function, ctypes.c_void_p).value)
+
+    @njit
+    def loop(argument, n):
+        for _ in range(n):
+            call(argument)
+
+    loop(argument, 1)
+    begun = time.process_time()
+    loop(argument, n_steps)
+    return (time.process_time() - begun) / n_steps * 1e6

@@ -298,11 +298,23 @@ TB958_EXPORT int32_t Model_Terminate(tb958_instance *instance)
 }
 #endif
 
+/* -DWORK=n: so many operations besides, one after the other, as a larger controller has. */
+static void work(double x)
+{
+#ifdef WORK
+    for (int k = 0; k < WORK; k++)
+        x = 0.5 * x + 1.0;
+    __asm__ volatile("" : : "m"(x)); /* what nobody uses is computed all the same */
+#endif
+    (void)x;
+}
+
 TB958_EXPORT int32_t Model_Outputs(tb958_instance *instance)
 {
     memory *m = memory_of(instance);
     const parameters *p = instance->parameters;
     count_a_step();
+    work(((const inputs *)instance->inputs)->v_dc);
     if (m->started == 0.0)
         start(m, instance->inputs, instance->outputs, p);
     control(m, instance->inputs, instance->outputs, p);
