@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,11 +99,29 @@ def complete_metadata(meta: Mapping[str, Any]) -> dict[str, Any]:
     return {**json.loads(canonical_json(completed)), "sha256": metadata_hash(completed)}
 
 
-def with_facts(meta: Mapping[str, Any], facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Completed metadata with further facts of its operating points, by op_id, and the hash made anew."""
-    points = [{**point, **facts.get(point["op_id"], {})} for point in meta["operating_points"]]
-    changed = {**meta, "operating_points": points}
-    return {**changed, "sha256": metadata_hash(changed)}
+def sealed(meta: Mapping[str, Any], facts: Mapping[str, Mapping[str, Any]]) -> bytes:
+    """Completed metadata as it is stored: with further facts of its operating points, by op_id, and the hash of all.
+
+    Each part becomes text once, for the hash and for the file: of 100,000 operating points it is 60 MB.
+    """
+    points = (canonical_json({**point, **facts.get(point["op_id"], {})}).encode() for point in meta["operating_points"])
+    parts = {key: canonical_json(value).encode() for key, value in meta.items() if key not in _SEALED_APART}
+    parts["operating_points"] = b"".join((b"[", b",".join(points), b"]"))
+    digest = hashlib.sha256()
+    for piece in _object_of(parts):
+        digest.update(piece)
+    return b"".join(_object_of({**parts, "sha256": canonical_json(digest.hexdigest()).encode()}))
+
+
+_SEALED_APART = ("operating_points", "sha256")
+
+
+def _object_of(parts: Mapping[str, bytes]) -> Iterator[bytes]:
+    """`canonical_json` of an object, piece by piece, from that of its values."""
+    for number, key in enumerate(sorted(parts)):
+        yield f'{"," if number else "{"}"{key}":'.encode()
+        yield parts[key]
+    yield b"}"
 
 
 def _check_points(points: Sequence[Mapping[str, Any]]) -> None:

@@ -23,12 +23,11 @@ from .format import (
     ROW_GROUP_ROWS,
     Column,
     TableError,
-    canonical_json,
     complete_metadata,
     joined,
     pack_covariance,
+    sealed,
     std_of,
-    with_facts,
 )
 
 
@@ -78,7 +77,7 @@ def _write(file: BinaryIO, responses: Iterable[FrequencyResponse], meta: Mapping
     ) as writer:
         for group in _row_groups(_noted(_checked(responses, meta), facts), schema):
             writer.write_table(group, row_group_size=ROW_GROUP_ROWS)
-        writer.add_key_value_metadata({METADATA_KEY: canonical_json(with_facts(meta, facts)).encode()})
+        writer.add_key_value_metadata({METADATA_KEY: sealed(meta, facts)})
 
 
 def _noted(responses: Iterable[FrequencyResponse], facts: dict[str, dict[str, Any]]) -> Iterator[FrequencyResponse]:
@@ -139,17 +138,23 @@ def _check_response(response: FrequencyResponse, f1_hz: float, n_rows: int) -> N
 
 def _row_groups(responses: Iterable[FrequencyResponse], schema: Any) -> Iterator[Any]:
     """Cut a stream of responses into Arrow tables of `ROW_GROUP_ROWS` rows, the last one shorter."""
-    import pyarrow as pa
-
-    pending = None
+    pending, n = list[dict[str, np.ndarray]](), 0
     for response in responses:
-        fresh = _arrow_table(_columns(response), schema)
-        pending = fresh if pending is None else pa.concat_tables([pending, fresh])
-        while pending.num_rows >= ROW_GROUP_ROWS:
-            yield pending.slice(0, ROW_GROUP_ROWS).combine_chunks()  # page borders follow chunks: leave none
-            pending = pending.slice(ROW_GROUP_ROWS)
-    if pending is not None and pending.num_rows:
-        yield pending.combine_chunks()
+        pending.append(_columns(response))
+        n += len(response)
+        if n >= ROW_GROUP_ROWS:
+            rows = joined(pending)
+            whole = n - n % ROW_GROUP_ROWS
+            for first in range(0, whole, ROW_GROUP_ROWS):
+                yield _arrow_table(_cut(rows, first, first + ROW_GROUP_ROWS), schema)
+            pending, n = [_cut(rows, whole, n)], n - whole
+    if n:
+        yield _arrow_table(joined(pending), schema)
+
+
+def _cut(columns: Mapping[str, np.ndarray], first: int, end: int) -> dict[str, np.ndarray]:
+    """Some rows, copied: the others are not kept for their sake."""
+    return {name: column[first:end].copy() for name, column in columns.items()}
 
 
 def rows_of(responses: Iterable[FrequencyResponse]) -> dict[str, np.ndarray]:
