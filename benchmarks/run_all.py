@@ -26,6 +26,7 @@ NAMES = (
     "process",
     "recordings",
     "thousand",
+    "hundred_thousand",
     "plan",
     "host",
 )
