@@ -28,19 +28,21 @@ PAGE = HERE.parent / "docs" / "evidence.md"
 _said: dict[str, str] = {}
 
 LONG = (
-    "plant/test_farm_in_time.py", "sweep/test_grey_verify.py", "sweep/test_kill.py", "tuning/test_farm_advice.py",
-    "sweep/test_elements.py", "docs/test_notebooks.py", "plant/test_emt.py", "sweep/test_cli.py",
-    "plant/test_grey_fmu.py", "sweep/test_report_browser.py", "identify/test_adaptive.py", "plant/test_fmu.py",
-    "docs/test_examples.py", "plant/test_turbine_reactive.py", "sweep/test_show.py", "plant/test_process.py",
-    "identify/test_jumps.py", "tuning/grids/test_in_time.py", "docs/test_site.py", "plant/test_grey.py",
-    "docs/test_paper.py", "plant/test_step.py", "sweep/test_columns.py", "sweep/test_farm_verify.py",
-    "plant/test_inverters.py", "sweep/test_region.py", "identify/test_grid_impedance.py", "identify/test_hear.py",
-    "sweep/test_farm_command.py", "plant/test_compiled.py", "tuning/test_verdict_families.py", "sweep/test_worst.py",
-    "tuning/test_verdict_cases.py", "sweep/test_child.py", "identify/test_confidence.py", "plant/test_events.py",
-    "sweep/test_report.py", "face/test_trust.py", "sweep/test_progress.py", "plant/test_grey_inverter.py",
-    "sweep/test_inverter_damping.py", "plant/test_sandbox.py", "tuning/test_stability.py", "sweep/test_shell.py",
-    "sweep/test_dask.py", "sweep/test_identify.py", "tuning/grids/test_elements.py", "plant/test_damping.py",
-    "sweep/bank/test_judge_command.py", "sweep/test_damaged_files.py",
+    "plant/test_farm_in_time.py", "sweep/test_grey_verify.py", "sweep/test_elements.py", "docs/test_notebooks.py",
+    "plant/test_fmu.py", "plant/test_grey_fmu.py", "plant/test_grey.py", "docs/test_site.py", "sweep/test_cli.py",
+    "plant/test_step.py", "sweep/test_farm_verify.py", "identify/test_jumps.py", "sweep/test_columns.py",
+    "tuning/grids/test_in_time.py", "tuning/test_farm_advice.py", "sweep/test_farm_command.py", "docs/test_paper.py",
+    "docs/test_examples.py", "tuning/test_verdict_families.py", "sweep/test_report_browser.py", "sweep/test_show.py",
+    "sweep/test_inverter_damping.py", "sweep/test_kill.py", "tuning/test_verdict_cases.py", "plant/test_compiled.py",
+    "plant/test_sandbox.py", "identify/test_confidence.py", "sweep/test_dask.py", "sweep/test_identify.py",
+    "sweep/test_child.py", "identify/test_adaptive.py", "plant/test_process.py", "sweep/test_region.py",
+    "plant/test_turbine_reactive.py", "plant/test_inverters.py", "face/test_trust.py", "sweep/test_shell.py",
+    "tuning/test_stability.py", "sweep/test_report.py", "plant/test_events.py", "identify/test_grid_impedance.py",
+    "sweep/test_damaged_files.py", "sweep/test_worst.py", "sweep/bank/test_judge_command.py",
+    "identify/test_exchange.py", "identify/test_hear.py", "tuning/grids/test_elements.py", "plant/test_emt.py",
+    "plant/test_grey_inverter.py", "sweep/test_progress.py", "plant/test_grey_faults.py", "plant/test_damping.py",
+    "identify/test_region_bars.py", "identify/test_recorded_kinds.py", "plant/test_recordings_wild.py",
+    "identify/test_surrogate.py", "identify/test_fit.py",
 )  # fmt: skip
 """Files that take longest. They begin first, so that no worker is left alone with one at the end; files that need the
 same kernels stand apart, so that the second finds them compiled."""

@@ -79,6 +79,12 @@ def shown(page, tmp_path, *flags):
     return subprocess.run(command, capture_output=True, text=True, timeout=600, check=True, stdin=subprocess.DEVNULL)
 
 
+@pytest.fixture(scope="module")
+def by_day(folder, tmp_path_factory):
+    """What the probe saw without any flag."""
+    return measured(folder, tmp_path_factory.mktemp("day"))
+
+
 def measured(folder, tmp_path, *flags):
     """What the probe saw; the policy is lifted for the probe's own script alone."""
     text = (folder / "r.html").read_text("utf-8")
@@ -96,18 +102,18 @@ def test_the_page_as_it_is_has_no_console_message_and_its_script_runs(folder, tm
     assert "CONSOLE" not in done.stderr
 
 
-def test_nothing_is_requested(folder, tmp_path):
+def test_nothing_is_requested(folder, tmp_path, by_day):
     """By the browser's own log of the network: the page's file, and nothing by http."""
     log = tmp_path / "net.json"
     shown(folder / "r.html", tmp_path, f"--log-net-log={log}")
     hosts = set(re.findall(r'"url":"https?://([^/"]+)', log.read_text("utf-8")))
     of_the_browser = (".google.com", ".googleapis.com", ".gvt1.com")  # its own search for updates
     assert not [host for host in hosts if not host.endswith(of_the_browser)]
-    assert measured(folder, tmp_path)["fetched"] == []
+    assert by_day["fetched"] == []
 
 
-def test_every_picture_is_there_and_gives_its_values_under_the_pointer(folder, tmp_path):
-    seen = measured(folder, tmp_path)["seen"]
+def test_every_picture_is_there_and_gives_its_values_under_the_pointer(by_day):
+    seen = by_day["seen"]
     assert set(seen) == {"loop", "locus", "poles", "bankmap", "bode"}
     assert all(width > 300.0 for width, _ in seen.values())
     assert "f = " in seen["bode"][1]
@@ -146,8 +152,8 @@ def _contrast(a, b):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_text_has_contrast_by_day_and_by_night(folder, tmp_path, dark):
-    found = measured(folder, tmp_path, *(["--blink-settings=preferredColorScheme=0"] if dark else []))
+def test_text_has_contrast_by_day_and_by_night(folder, tmp_path, by_day, dark):
+    found = measured(folder, tmp_path, "--blink-settings=preferredColorScheme=0") if dark else by_day
     assert found["dark"] is dark
     weak = [(colour, tag) for colour, tag in found["colours"] if _contrast(colour, found["paper"]) < 4.5]
     assert not weak
@@ -155,7 +161,7 @@ def test_text_has_contrast_by_day_and_by_night(folder, tmp_path, dark):
 
 
 def test_the_command_prints_beside_the_page_without_a_date(folder, tmp_path):
-    done = command("report", folder / "y.parquet", folder / "t.json", "-o", tmp_path / "r.html", "--pdf")
+    done = command("report", folder / "y.parquet", "-o", tmp_path / "r.html", "--pdf")
     assert done.returncode == 0, done.stderr
     paper = (tmp_path / "r.pdf").read_bytes()
     assert paper.startswith(b"%PDF")
