@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -40,7 +41,7 @@ class Interrupts:
         self._words = words
         self._leave_with: int | None = None
         self._over = self._told = self.came = False
-        self._hook = sys.unraisablehook
+        self._hook, self._thread_hook = sys.unraisablehook, threading.excepthook
 
     def heed(self) -> None:
         """Be asked from now on, by Ctrl-C unless this process was begun deaf to it, and by SIGTERM."""
@@ -48,7 +49,7 @@ class Interrupts:
             if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
                 signal.signal(signal.SIGINT, self)
             signal.signal(signal.SIGTERM, self)  # `timeout`, Slurm, docker stop: as Ctrl-C
-            sys.unraisablehook = self.unraisable
+            sys.unraisablehook, threading.excepthook = self.unraisable, self.in_thread
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if self._leave_with is None:
@@ -66,6 +67,11 @@ class Interrupts:
             self._leave_with = None
             signal.signal(signal.SIGALRM, self)
             signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+
+    def in_thread(self, what: threading.ExceptHookArgs) -> None:
+        """For `threading.excepthook`: of a pool that is interrupted, threads may find that their processes are gone."""
+        if not self.came:
+            self._thread_hook(what)
 
     @contextmanager
     def foremost(self) -> Iterator[None]:

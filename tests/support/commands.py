@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -107,6 +108,7 @@ def _as_a_process(argv, out, err):
     kept_modules, kept_signals = set(sys.modules), {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
     kept = {"argv": argv, "path": [*sys.path], "unraisablehook": sys.unraisablehook}
     patches = [*(patch.object(sys, name, value) for name, value in kept.items()), patch.dict(os.environ)]
+    patches.append(patch.object(threading, "excepthook", threading.excepthook))
     with ExitStack() as stack:
         for context in (*patches, chdir(HERE), warnings.catch_warnings(), _streams(out, err)):
             stack.enter_context(context)

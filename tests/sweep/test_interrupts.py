@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import threading
 import time
 from collections import Counter
 from contextlib import suppress
@@ -63,11 +64,14 @@ def interrupted_at(tmp_path):
 def interrupts():
     """Interrupts that are heeded; signals and hooks are given back."""
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
+    printed = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.unraisablehook", lambda what: pytest.fail(f"printed: {what}"))
+        for hook in ("sys.unraisablehook", "threading.excepthook"):
+            patch.setattr(hook, printed.append)
         one = Interrupts(lambda: "interrupted")
         one.heed()
         yield one
+    assert printed == []
     for number, handler in kept.items():
         signal.signal(number, handler)
 
@@ -146,6 +150,14 @@ def test_an_interrupt_that_nobody_can_catch_is_raised_a_moment_later(interrupts)
     Finalised()
     with pytest.raises(KeyboardInterrupt):
         wait_for(lambda: False, 60.0)
+
+
+def test_threads_of_what_is_interrupted_print_nothing(interrupts):
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+    orphan = threading.Thread(target={}.pop, args=("a process that is gone",))
+    orphan.start()
+    orphan.join()
 
 
 @pytest.mark.parametrize("module", ["seqsweep.sweep.cli.main", "typer", "numpy", "joblib", "pyarrow"])
