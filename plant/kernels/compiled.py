@@ -23,16 +23,20 @@ import re
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 _MAGIC = b"seqsweep kernel 1\n"
 _KEPT_PER_KERNEL = 8
 """Files of one kernel in a folder: of several processors, kinds of arguments, work trees. The oldest give way."""
+
+_PATIENCE_S = 300.0
+"""How long (s) a process waits for another one that compiles the same kernel."""
 
 _WITHOUT_MEANING = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS")
 """Settings of numba that do not change the code."""
@@ -160,10 +164,15 @@ class Kernel:
     def _found(self, kinds: str, arguments: Sequence[Any]) -> Code:
         kept = None
         if self._options.get("cache") and "?" not in kinds and (path := _path(self.py_func, self._options, kinds)):
-            kept = _read(path) or _write(path, *_compiled(self.py_func, self._options, arguments))
+            kept = _read(path) or self._made(path, arguments)
         if kept and kept[0]:
             return _loaded(*kept, "".join(map(_letters, arguments)))
         return lambda arguments: self.dispatcher(*map(_plain, arguments))
+
+    def _made(self, path: Path, arguments: Sequence[Any]) -> tuple[str, bytes]:
+        """Name and object code, compiled by the first process that asks for it; others wait for what it leaves."""
+        with _alone(path):
+            return _read(path) or _write(path, *_compiled(self.py_func, self._options, arguments))
 
 
 # ---------------------------------------------------------------------- arguments
@@ -435,6 +444,40 @@ def _read(path: Path) -> tuple[str, bytes] | None:
         return None
     name, _, code = rest.partition(b"\n")
     return json.loads(name), code
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """No two processes make the same file at once; where locks are not to be had, or not within `_PATIENCE_S`, they do.
+
+    The lock goes with the process that holds it, however that ends.
+    """
+    beside = path.with_name(f"{path.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = beside.open("w")
+    except OSError:
+        yield
+        return
+    with lock:
+        _lock_within(lock, _PATIENCE_S)
+        yield
+        with suppress(OSError):
+            beside.unlink()  # who waits for it holds it open
+
+
+def _lock_within(file: IO[str], patience_s: float) -> None:
+    with suppress(ImportError):  # Linux and its relatives have it
+        import fcntl
+
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            try:
+                return fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(0.02)
+            except OSError:
+                return None
 
 
 def _write(path: Path, name: str, code: bytes) -> tuple[str, bytes]:

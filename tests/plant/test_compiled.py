@@ -41,7 +41,8 @@ WANTED = [*(2.0 * k + 0.5 + 1.0 - 0.25 * k for k in range(5)), 5.0]
 def called(folder: Path, text: str = KERNEL, **environment: str) -> tuple[list[float], bool]:
     """What the kernel fills in, and whether its process imported numba."""
     script = folder / "kernels_of_a_test.py"
-    script.write_text(text, "utf-8")
+    if not script.exists() or script.read_text("utf-8") != text:
+        script.write_text(text, "utf-8")
     settings = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), **environment}
     done = subprocess.run([sys.executable, str(script)], env=settings, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -64,6 +65,23 @@ def warm(tmp_path_factory):
 def test_the_second_process_calls_the_same_code_without_numba(warm):
     assert called(warm) == (WANTED, False)
     assert len(files(warm)) == 1
+
+
+def test_of_processes_that_begin_together_one_compiles_and_the_others_wait(tmp_path):
+    (tmp_path / "kernels_of_a_test.py").write_text(KERNEL, "utf-8")
+    with ThreadPoolExecutor(3) as processes:
+        outcomes = list(processes.map(called, 3 * [tmp_path]))
+    assert sorted(outcomes) == [(WANTED, False), (WANTED, False), (WANTED, True)]
+    assert [path.suffix for path in (tmp_path / "cache" / "seqsweep").iterdir()] == [".kernel"]
+
+
+def test_a_lock_that_somebody_keeps_costs_time_alone(tmp_path, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(compiled, "_PATIENCE_S", 0.1)
+    with (tmp_path / "k.kernel.lock").open("w") as kept:
+        fcntl.flock(kept, fcntl.LOCK_EX)
+        with compiled._alone(tmp_path / "k.kernel"):
+            pass
 
 
 @pytest.mark.parametrize(
