@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..identify.fit.dq_data import DqData
-from ..identify.fit.model import FreePoles, unheld
+from ..identify.fit.model import FreePoles, unheld, unheld_exactly
 from ..identify.fit.rational import RationalModel
 from .grids.in_time import grid_of_fact
 from .poles import SURELY
@@ -64,30 +64,47 @@ class OpenMode(NamedTuple):
 
 
 def open_mode(model: RationalModel, anchor: Anchor, data: DqData) -> OpenMode | None:
-    """The mode held stable on an ideal source that is slower than the bound and of which the rows tell the least.
+    """The mode held stable on an ideal source that may be slower than the bound and of which the rows tell the least.
 
     What rows say of it is what they say where nothing holds it on its side: the fit that is held hides whether they
     ask for one that grows.
     """
-    slow = np.flatnonzero((np.abs(model.poles.real) < anchor.growth_bound_per_s) & (model.poles.imag >= 0.0))
-    if anchor.n_unstable != 0 or len(slow) == 0:
+    bound = anchor.growth_bound_per_s
+    if anchor.n_unstable != 0 or bound == 0.0:
         return None
-    free = unheld(model, data)
-    found = [_opened(model, int(k), free, anchor.growth_bound_per_s) for k in slow]
-    return min(found, key=lambda mode: mode.decays)
+    exact = unheld_exactly(model, data)
+    if exact is None:
+        slow = _slow(model.poles, model.pole_std.real, bound)
+        free = unheld(model, data) if len(slow) else None
+        found = [] if free is None else [_opened(model, int(k), free, bound) for k in slow]
+    else:
+        slow = _slow(exact.poles, exact.std_per_s, bound)
+        found = [_told(complex(exact.poles[k]), float(exact.std_per_s[k]), bound) for k in slow]
+    return min(found, key=lambda mode: mode.decays, default=None)
+
+
+def _slow(poles: np.ndarray, std_per_s: np.ndarray, bound: float) -> np.ndarray:
+    """Indices of the upper poles that may be slower than the bound."""
+    return np.flatnonzero((np.abs(poles.real) < bound + SURELY * std_per_s) & (poles.imag >= 0.0))
 
 
 def _opened(model: RationalModel, k: int, free: FreePoles, bound: float) -> OpenMode:
-    """How probably a mode decays, if it does not grow faster than the runs let it.
+    """How probably a mode decays by the fit that nothing holds.
 
-    Rows that ask for one that grows faster are in error, and say nothing beside the fit that is held.
+    Rows that ask for one that grows faster than the runs let it are in error, and say nothing beside the fit that is
+    held.
     """
     nearest = int(np.argmin(np.abs(free.poles - model.poles[k])))
     pole, std = complex(free.poles[nearest]), float(free.std_per_s[nearest])
     if pole.real - SURELY * std > bound:
         pole, std = complex(model.poles[k]), float(model.pole_std[k].real)
-    decays, slower = (_normal((limit - pole.real) / max(std, 1e-300)) for limit in (0.0, bound))
-    return OpenMode(pole, std, decays / (decays + _GROWING * max(slower - decays, 1e-300)))
+    return _told(pole, std, bound)
+
+
+def _told(pole: complex, std_per_s: float, bound: float) -> OpenMode:
+    """How probably a mode decays, if it does not grow faster than the runs let it."""
+    decays, slower = (_normal((limit - pole.real) / max(std_per_s, 1e-300)) for limit in (0.0, bound))
+    return OpenMode(pole, std_per_s, decays / (decays + _GROWING * max(slower - decays, 1e-300)))
 
 
 def _normal(x: float) -> float:

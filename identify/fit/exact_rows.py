@@ -12,13 +12,16 @@ import numpy as np
 from .aaa import Barycentric, interpolants, poles
 from .dq_data import DqData
 from .least_squares import Problem, Trial, floor_cost, held, refine
+from .order import met_exactly, prune, to_rounding
 from .partial_fractions import order_of, upper_half
 from .vector_fit import vector_fit
 
 _DESCRIBED = 1e-5  # misfit of an interpolant, relative to Y, that noise does not allow
+_TO_ROUNDING = 1e-9  # misfit of one that no error of a sweep allows
 _UNEXPLAINED = 4.0  # variances beyond the stated ones from which on a misfit is no noise
 _HIGHEST, _PER_ROW = 27, 0.8  # order of an interpolant, and order per row: half as many parameters as numbers
 _ONE_PLACE = 1e-6  # rows closer than this, relatively, are at one place
+_SOME = 45  # rows that are asked whether they are exact
 _MANY = 150  # rows from which on the order search gets stuck only where it ends at the highest order
 
 
@@ -31,11 +34,29 @@ def from_interpolant(problem: Problem, data: DqData, trial: Trial, max_order: in
     if (len(data.nu_hz) > _MANY and not ended) or not _is_unexplained(problem, trial):
         return trial
     found = _describing(data)
-    if found is None:
-        return trial
+    return trial if found is None else min([trial, *_started(problem, found)], key=lambda t: t.bic)
+
+
+def exact_fit(problem: Problem, data: DqData) -> Trial | None:
+    """A fit that starts from an interpolant and meets the rows to rounding; None where they are not exact.
+
+    Rows that state their errors are not. Of many rows some tell whether the others are worth a look.
+    """
+    if data.std is not None:
+        return None
+    step = -(-len(data.nu_hz) // _SOME)
+    found = _describing(DqData(data.nu_hz[::step], data.y[::step], None))
+    if found is None or found.misfit > _TO_ROUNDING:
+        return None
+    met = [met_exactly(problem, trial) for trial in _started(problem, found)]
+    exact = [trial for trial in met if trial is not None]
+    return prune(to_rounding(problem), min(exact, key=lambda t: t.bic)) if exact else None
+
+
+def _started(problem: Problem, found: Barycentric) -> list[Trial]:
+    """Trials that start from the poles of an interpolant."""
     start = held(problem, upper_half(poles(found)))
-    started = [refine(problem, vector_fit(problem, start, tail)) for tail in (1, 2)]
-    return min(trial, *started, key=lambda t: t.bic)
+    return [refine(problem, vector_fit(problem, start, tail)) for tail in (1, 2)]
 
 
 def _describing(data: DqData) -> Barycentric | None:

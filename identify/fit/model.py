@@ -32,7 +32,7 @@ from ...plant.errors import SeqsweepError
 from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
-from .exact_rows import from_interpolant
+from .exact_rows import exact_fit, from_interpolant
 from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_residues, trial_at, weighted
 from .order import (
     drop_faint,
@@ -195,6 +195,16 @@ def unheld(model: RationalModel, data: DqData) -> FreePoles:
     free = refine(problem, trial_at(problem, upper_half(model.poles), model.tail))
     floor = floor_cost(problem)
     return FreePoles(free.poles, pole_std(problem, free) * np.sqrt(max(1.0, floor / max(free.cost, 1e-6 * floor))))
+
+
+def unheld_exactly(model: RationalModel, data: DqData) -> FreePoles | None:
+    """The same where the rows are exact; None where they are not.
+
+    A fit that is held may meet exact rows to its floor with poles on the wrong side, or do without a faint one.
+    """
+    problem = weighted(data, model.noise_floor)._replace(weight=model.weight.T)
+    exact = exact_fit(problem, data)
+    return None if exact is None else FreePoles(exact.poles, pole_std(problem, exact))
 
 
 def _known_unstable(response: FrequencyResponse, told: int | None) -> int | None:

@@ -161,7 +161,7 @@ def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
     Errors of the sweep ask for such poles. One by one: a true instability must not keep spurious ones beside it. Rows
     that the fit meets to rounding have no such errors.
     """
-    exact = _met_exactly(problem, trial)
+    exact = met_exactly(problem, trial)
     if exact is not None:
         return exact, ()
     n_before, needed = order_of(trial.poles), np.zeros(0, dtype=complex)
@@ -183,7 +183,7 @@ def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
     return trial, (f"{n_left_out} faint poles of no certain sign left out of the fit: it matches Y to {misfit:.1g}",)
 
 
-def _met_exactly(problem: Problem, trial: Trial) -> Trial | None:
+def met_exactly(problem: Problem, trial: Trial) -> Trial | None:
     """The trial continued to rounding, where it meets the rows so with half as many parameters as they have numbers.
 
     Errors of a sweep may be smooth enough for a fit to meet them to its floor; to rounding none does.
@@ -191,9 +191,13 @@ def _met_exactly(problem: Problem, trial: Trial) -> Trial | None:
     parameters = order_of(trial.poles) + ELEMENTS * (order_of(trial.poles) + trial.tail)
     if trial.cost > floor_cost(problem) or parameters > problem.y.size:
         return None
-    sharper = problem._replace(floor=_ROUNDING * problem.floor)
-    exact = refine(sharper, trial)
-    return trial_at(problem, exact.poles, exact.tail) if exact.cost < floor_cost(sharper) else None
+    exact = refine(to_rounding(problem), trial)
+    return trial_at(problem, exact.poles, exact.tail) if exact.cost < floor_cost(to_rounding(problem)) else None
+
+
+def to_rounding(problem: Problem) -> Problem:
+    """The problem with a floor that only exact rows are met to."""
+    return problem._replace(floor=_ROUNDING * problem.floor)
 
 
 def _doubtful(problem: Problem, trial: Trial, needed: np.ndarray) -> np.ndarray:

@@ -85,3 +85,27 @@ def test_a_mode_that_could_grow_far_faster_than_the_runs_let_it_is_no_doubt(
     growth_per_s: float, frequency_hz: float
 ) -> None:
     assert judged_from(4.0, growth_per_s, frequency_hz, 1e-3).verdict == "stable"
+
+
+@pytest.mark.parametrize(
+    ("lowest_hz", "growth_per_s", "frequency_hz"), [(4.0, 0.6, 0.7), (12.0, 0.3, 8.0), (12.0, 0.1, 3.0)]
+)
+def test_exact_rows_tell_of_a_mode_that_grows_though_a_fit_that_is_held_meets_them(
+    lowest_hz: float, growth_per_s: float, frequency_hz: float
+) -> None:
+    """To its floor, with poles on the wrong side and others that make up for them: once "stable", with certainty."""
+    assert judged_from(lowest_hz, growth_per_s, frequency_hz, 0.0).verdict == "undecided"
+
+
+@pytest.mark.parametrize("frequency_hz", [3.0, 8.0])
+def test_a_hole_does_not_make_a_mode_that_grows_pass_for_a_quicker_one(frequency_hz: float) -> None:
+    """Rows from 12 Hz on take it for one that decays faster than the runs exclude, and do not know how fast."""
+    point = judged_from(12.0, 0.6, frequency_hz, 1e-3)
+    assert (point.probability or 0.0) < CERTAIN
+
+
+@pytest.mark.parametrize("lowest_hz", [1.0, 4.0])
+@pytest.mark.parametrize("frequency_hz", [0.0, 0.7, 8.0])
+def test_exact_rows_tell_of_a_mode_that_decays(lowest_hz: float, frequency_hz: float) -> None:
+    point = judged_from(lowest_hz, -0.3, frequency_hz, 0.0)
+    assert "may as well grow" not in point.reason
