@@ -25,6 +25,7 @@ from .rows import Rows, wind_rows
 from .siso import Grid
 
 _GROWING = 0.02  # how likely a slow mode of a device that came to rest grows, over that it decays, before any row
+_MODE = 1.0 / 3.0  # how likely a row that disagrees with its neighbours is a mode, and no error
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +64,35 @@ class OpenMode(NamedTuple):
     decays: float
 
 
-def open_mode(model: RationalModel, anchor: Anchor, data: DqData) -> OpenMode | None:
+def open_mode(model: RationalModel, anchor: Anchor, rows: Rows) -> OpenMode | None:
     """The mode held stable on an ideal source that may be slower than the bound and of which the rows tell the least.
 
-    What rows say of it is what they say where nothing holds it on its side: the fit that is held hides whether they
-    ask for one that grows.
+    A row that was left out for disagreeing with its neighbours may be such a mode, too: one that is narrower than
+    their distance.
     """
     bound = anchor.growth_bound_per_s
     if anchor.n_unstable != 0 or bound == 0.0:
         return None
+    found = _asked_of_rows(model, bound, rows.data)
+    if rows.left_out is not None:
+        place = 2j * np.pi * float(rows.left_out.nu_hz[0])
+        found.append(OpenMode(place, bound, 1.0 - _GROWING * _MODE))
+    return min(found, key=lambda mode: mode.decays, default=None)
+
+
+def _asked_of_rows(model: RationalModel, bound: float, data: DqData) -> list[OpenMode]:
+    """Modes that may be slower than the bound.
+
+    What rows say of them is what they say where nothing holds them on their side: the fit that is held hides whether
+    they ask for one that grows.
+    """
     exact = unheld_exactly(model, data)
     if exact is None:
         slow = _slow(model.poles, model.pole_std.real, bound)
         free = unheld(model, data) if len(slow) else None
-        found = [] if free is None else [_opened(model, int(k), free, bound) for k in slow]
-    else:
-        slow = _slow(exact.poles, exact.std_per_s, bound)
-        found = [_told(complex(exact.poles[k]), float(exact.std_per_s[k]), bound) for k in slow]
-    return min(found, key=lambda mode: mode.decays, default=None)
+        return [] if free is None else [_opened(model, int(k), free, bound) for k in slow]
+    slow = _slow(exact.poles, exact.std_per_s, bound)
+    return [_told(complex(exact.poles[k]), float(exact.std_per_s[k]), bound) for k in slow]
 
 
 def _slow(poles: np.ndarray, std_per_s: np.ndarray, bound: float) -> np.ndarray:

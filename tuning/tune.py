@@ -153,7 +153,7 @@ def fitted(response: FrequencyResponse, proved: Anchor | None = None) -> Device:
     bad = misfit > acceptable_misfit(response)
     problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
     kept = believed(rows, model)
-    return Device(response, kept, replace(anchor, still_open=open_mode(model, anchor, kept.data)), model, problem)
+    return Device(response, kept, replace(anchor, still_open=open_mode(model, anchor, kept)), model, problem)
 
 
 def _anchored(rows: Rows, anchor: Anchor, f1_hz: float) -> tuple[Anchor, RationalModel]:
