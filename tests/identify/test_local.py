@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numba import njit
-from scipy.signal import cont2discrete
 
 from seqsweep.identify.recorded.local_polynomial import local_polynomials
 from seqsweep.identify.recorded.tones import HearingError
@@ -36,6 +35,8 @@ class Sampled:
     def __init__(self):
         self.p, _, _ = by_hand.at_rest(F1)
         self.at = oracle.linearise(POWER_W, VOLTAGE_V, self.p)
+        from scipy.signal import cont2discrete  # takes long, and every worker collects all files
+
         a, b, self.c, self.d, _ = cont2discrete((self.at.A, self.at.B, self.at.C, self.at.D), DT)
         self.a, self.b = np.ascontiguousarray(a), np.ascontiguousarray(b)
 
@@ -89,7 +90,7 @@ def test_missing_samples_and_no_fundamental_are_refused():
 
 def test_a_broadband_file_becomes_a_table_and_says_how(tmp_path):
     files.comtrade(tmp_path / "prbs", files.six(SAMPLED.record(20.0)), form="FLOAT32", rate_hz=1.0 / DT)
-    done = command("identify", tmp_path / "prbs.cfg", "--direction", "load", "-o", tmp_path / "y.parquet")
+    done = command("identify", tmp_path / "prbs.cfg", "--direction", "load", "-o", tmp_path / "y.parquet", "--jobs", 1)
     assert "taken as a broadband record" in done.stderr
     assert done.returncode in (0, 1)  # rows next to f1, where 20 s do not resolve the device, may be noisy
     assert validate_table(tmp_path / "y.parquet") == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from ..support.regions import DROOP_INVERTER, PQV, PQV_DROOP, PV, TURBINE, error
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-pytest.importorskip("sklearn", reason="the extra 'test' is not installed")
+if find_spec("sklearn") is None:  # importing it takes long, and every worker collects all files
+    pytest.skip("the extra 'test' is not installed", allow_module_level=True)
 
 from operating_region import bars, campaigns, verdicts
 from operating_region.designs import Truth, certified, grown, noisy, swept_by

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from importlib.util import find_spec
 
 import pytest
 
@@ -23,7 +24,8 @@ from ..support.commands import (
     wait_for,
 )
 
-pytest.importorskip("distributed")
+if find_spec("distributed") is None:  # importing it takes long, and every worker collects all files
+    pytest.skip("the extra 'dask' is not installed", allow_module_level=True)
 
 
 @pytest.fixture

@@ -58,7 +58,8 @@ def folder(tmp_path_factory):
     assert command("run", file, "-o", folder / "y.parquet", "--jobs", 1).returncode == 0
     tuned = ("tune", folder / "y.parquet", "--grid", "0.02+0.3j", "--scale", "1.0,2.0", "-o", folder / "t.json")
     assert command(*tuned).returncode == 0
-    assert command("judge", folder / "y.parquet", "--grids", _bank(folder), "-o", folder / "j.parquet").returncode == 0
+    judged = ("judge", folder / "y.parquet", "--grids", _bank(folder), "-o", folder / "j.parquet", "--jobs", 1)
+    assert command(*judged).returncode == 0
     done = command("report", folder / "y.parquet", folder / "t.json", folder / "j.parquet", "-o", folder / "r.html")
     assert done.returncode == 0, done.stderr
     return folder

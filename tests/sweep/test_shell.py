@@ -116,7 +116,7 @@ JSON = {
     "tune": ("tune", "y.parquet", "--grid", "0.02+0.3j"),
     "compare": ("compare", "y.parquet", "y.parquet"),
     "metrics": ("metrics", "y.parquet"),
-    "judge": ("judge", "y.parquet", "--grids", "grids"),
+    "judge": ("judge", "y.parquet", "--grids", "grids", "--jobs", "1"),
     "check": ("check", "branch-v1"),
     "export": ("export", "y.parquet", "-o", "out.csv", "--force"),
     "report": ("report", "y.parquet", "-o", "r.html", "--force"),
