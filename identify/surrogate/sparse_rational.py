@@ -113,6 +113,13 @@ class Fitted:
         """Root mean square of the leave-one-out errors over frequencies and sweeps."""
         return float(np.sqrt(np.mean(np.sum(np.abs(self.left_out) ** 2, axis=2))))
 
+    @property
+    def coherence(self) -> float:
+        """How alike the leave-one-out errors are at neighbouring frequencies: 0 for noise, 1 for what varies slowly."""
+        here, beside = self.left_out[:-1], self.left_out[1:]
+        size = np.linalg.norm(here) * np.linalg.norm(beside)
+        return float(np.abs(np.vdot(here, beside)) / size) if size > 0.0 else 0.0
+
 
 class Prediction(NamedTuple):
     """Admittance (p, f, 4) in S, |d| (p, f) and the leverage (p, f) relative to ||Y||."""

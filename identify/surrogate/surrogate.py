@@ -211,9 +211,12 @@ class Surrogate:
     @property
     def contradiction(self) -> float:
         """By how much left-out sweeps are missed, relative to ||Y||, where they are too many for that; else zero."""
-        enough = len(self.points) >= 2 * len(self.pieces) * (len(self.scale.axes) + 2)
-        missed = max(piece.models[0].score for piece in self.pieces)
-        return missed if enough and missed > CONTRADICTS else 0.0
+        each = len(self.points) / len(self.pieces) / (len(self.scale.axes) + 2)
+        worst = max((piece.models[0] for piece in self.pieces), key=lambda model: model.score)
+        if each >= ENOUGH_SWEEPS and worst.score > CONTRADICTS:
+            return worst.score
+        told = each >= MANY_SWEEPS and worst.score > CONTRADICTS_ALIKE and worst.coherence > COHERENT
+        return worst.score if told else 0.0
 
     def check_inside(self, point: Sequence[float], name: str) -> None:
         """Refuse an operating point outside the region, in the name of what asked for it."""
@@ -247,8 +250,17 @@ class Surrogate:
         return {"stable_on": self.meta["stable_on"]} if self.meta.get("stable_on") else {}
 
 
-CONTRADICTS = 0.1
-"""Sweeps that are missed by more when left out do not belong to one device that changes smoothly."""
+ENOUGH_SWEEPS, MANY_SWEEPS = 2.0, 2.5
+"""Sweeps for every axis and for two more, from which on left-out errors speak against the sweeps, not their number."""
+
+CONTRADICTS, CONTRADICTS_ALIKE = 0.1, 0.02
+"""Sweeps that are missed by more when left out do not belong to one device that changes smoothly.
+
+The second counts where there are more of them, and they are missed alike at neighbouring frequencies: `COHERENT`.
+"""
+
+COHERENT = 0.3
+"""Turbines of two gains by lot in one table are missed with a coherence of 0.55 to 0.85, noise with less than 0.12."""
 
 CORRELATED = 7.0
 """Neighbouring rows whose model error is one and the same."""
