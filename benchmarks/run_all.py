@@ -27,6 +27,7 @@ NAMES = (
     "recordings",
     "thousand",
     "hundred_thousand",
+    "dask_cluster",
     "plan",
     "host",
 )

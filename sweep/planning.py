@@ -133,7 +133,7 @@ def _points(config: Config, plant: PlantCard) -> tuple[list[Frequency], list[str
 def _probes(points: Sequence[Frequency], wanted: int | None) -> list[float]:
     """Frequencies (Hz) of the rows to probe: spread evenly over the rows, the ends among them."""
     n = max(MIN_PROBES, round(len(points) / ROWS_PER_PROBE)) if wanted is None else wanted
-    at = np.unique(np.linspace(0, len(points) - 1, min(n, len(points))).round().astype(int))
+    at = sorted(set(np.linspace(0, len(points) - 1, min(n, len(points))).round().astype(int).tolist()))
     return [points[k].f_hz for k in at]
 
 

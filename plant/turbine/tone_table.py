@@ -30,7 +30,7 @@ def common_period(spectra: Iterable[Spectrum], rate_hz: float) -> int:
     spectra = list(spectra)
     if max(map(len, spectra)) < FEWEST:
         return 0
-    f_hz = np.unique([0.0, *(f_hz for spectrum in spectra for f_hz, _ in spectrum)])
+    f_hz = np.array(sorted({0.0, *(f_hz for spectrum in spectra for f_hz, _ in spectrum)}))
     steps = np.diff(f_hz)
     n_rows = round(rate_hz / steps[steps > 1e-9].min())
     lines = f_hz * n_rows / rate_hz

@@ -295,7 +295,10 @@ def test_check_survives_a_plant_that_does_not(tmp_path):
     assert done.stdout.startswith("FAIL  survives  the plant's process died: SIGABRT")
 
 
-def test_the_rounds_of_an_adaptive_sweep_share_their_children(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("spacing", "amplitude_pu"), [("adaptive", 0.001), ("log", "auto")], ids=["rounds", "pilots and points"]
+)
+def test_all_that_a_sweep_asks_goes_to_the_same_children(tmp_path, monkeypatch, spacing, amplitude_pu):
     begun, brought = [], []
     real = campaign_of.pool
 
@@ -315,7 +318,8 @@ def test_the_rounds_of_an_adaptive_sweep_share_their_children(tmp_path, monkeypa
         "campaign": {"name": "rounds"},
         "plant": {"id": "branch-v1", "isolate": True},
         "operating_point": [{"active_power_mw": 0.65, "terminal_voltage_pu": 1.0}],
-        "sweep": {"f_min_hz": 20.0, "f_max_hz": 900.0, "points": 40, "spacing": "adaptive"},
+        "sweep": {"f_min_hz": 20.0, "f_max_hz": 900.0, "points": 40, "spacing": spacing},
+        "injection": {"amplitude_pu": amplitude_pu},
     }
     config = Config.from_dict(content)
     card = plant_or_card(config)
