@@ -111,6 +111,12 @@ def test_another_processor_or_setting_has_code_of_its_own(warm, setting):
     assert len(set(files(warm)) - before) == 1
 
 
+def test_another_python_has_code_of_its_own(monkeypatch):
+    here = compiled._machine.__wrapped__()
+    monkeypatch.setattr(sys, "version_info", (3, 99, 0))
+    assert compiled._machine.__wrapped__() != here
+
+
 def test_an_edit_is_noticed(tmp_path):
     called(tmp_path)
     edited = KERNEL.replace("p[0] * x + p[1]", "p[0] * x - p[1]")

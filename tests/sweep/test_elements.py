@@ -136,6 +136,44 @@ def test_a_disk_that_fails_at_any_moment_costs_one_line(tmp_path, table, name, c
     print(f"\n  {name}: {met} moments, {errno.errorcode[code]}", end="")
 
 
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of its own in memory, and a function that makes it so many kB large."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4k", "tmpfs", place], capture_output=True).returncode:
+        pytest.skip("mounting a file system is not allowed here")
+
+    def sized(kilobytes):
+        subprocess.run(["mount", "-o", f"remount,size={kilobytes}k", place], check=True)
+
+    yield place, sized
+    subprocess.run(["umount", "-l", place], check=True)
+
+
+@LINUX
+@pytest.mark.evidence
+def test_a_disk_that_grows_from_too_small_to_large_enough(small_disk):
+    """The same command on a real file system that is full, ever again with 8 kB more, until its table is there."""
+    (place, sized), refusals = small_disk, 0
+    for kilobytes in range(8, 400, 8):
+        sized(kilobytes)
+        done = call("run", TOP / "examples" / "table1.toml", "-o", place / "y.parquet")
+        if done.returncode == 0:
+            break
+        refusals += 1
+        assert done.returncode == MACHINE, done.stderr
+        assert "Traceback" not in done.stderr
+        assert "no space left on device" in done.stderr.splitlines()[-1]
+        assert not [path for path in place.rglob("*") if path.suffix == ".tmp"]
+    assert [path.name for path in place.iterdir()] == ["y.parquet"]
+    again = place.parent / "y.parquet"
+    assert command("run", TOP / "examples" / "table1.toml", "-o", again).returncode == 0
+    assert (place / "y.parquet").read_bytes() == again.read_bytes()
+    assert refusals > 3
+    print(f"\n  {refusals} times full, {kilobytes} kB at last: the same bytes", end="")
+
+
 @LINUX
 @needs_compiler
 def test_a_run_that_met_a_full_disk_goes_on_to_the_same_bytes(tmp_path):
