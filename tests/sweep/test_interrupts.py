@@ -237,8 +237,10 @@ def test_ctrl_c_at_any_moment_is_one_line(tmp_path, backend, isolated):
         if table.exists():
             assert table.read_bytes() == fresh.read_bytes()
             table.unlink()
-    place = "isolated" if isolated else "here"
-    print(f"\n  {backend}, {place}: {dict(seen)}, one line and status 3 each, same bytes (seed {seed})", end="")
+    place, early = "isolated" if isolated else "here", f"{seen['not begun']} before the command had begun"
+    print(
+        f"\n  {backend}, {place}: {seen['at work']} at work, one line each, same bytes; {early} (seed {seed})", end=""
+    )
 
 
 LISTING = "import sys; from seqsweep.sweep.cli.main import main\ntry: main()\nfinally: print(*sys.modules)"
