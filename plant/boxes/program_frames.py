@@ -133,7 +133,7 @@ class Peer:
             while len(self._heard) < n_bytes:
                 ready = selector.select(max(0.0, until - time.monotonic()))
                 if not ready:
-                    raise PeerError(f"no answer to {tag} within {self._answer_s:g} s (plant.parameters.answer_s)")
+                    raise PeerError(self._late(tag))
                 for key, _ in ready:
                     if key.fileobj is self._stdout:
                         self._hear(tag)
@@ -148,6 +148,12 @@ class Peer:
         if not more:
             raise PeerError(f"the program ended before it answered {tag}: {self._ending()}")
         self._heard += more
+
+    def _late(self, tag: str) -> str:
+        """Why there is no answer: a program that ended may have left others behind, which hold its output open."""
+        if self._process.poll() is not None:
+            return f"the program ended before it answered {tag}: {self._ending()}"
+        return f"no answer to {tag} within {self._answer_s:g} s (plant.parameters.answer_s)"
 
     def _send(self) -> bool:
         """Send some of what is left; False when there is no more to send."""

@@ -29,13 +29,16 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from .processes import adopt_orphans, die_with_parent, how_it_ended
+from .processes import adopt_orphans, die_with_parent, has_ended, how_it_ended
 from .store import BRANCHED_FROM, Action, Room, Way, outdated
 
 T = TypeVar("T")
 
 ROOM = Room(branches=104)
 """Positions kept as processes: branches for each shot of the largest batch, and some to spare."""
+
+LOOK_S = 0.5
+"""Wall time (s) after which a process that has not answered is looked after."""
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -211,6 +214,7 @@ class _Nursery:
     def _hear(self, way: Way, goes: _Keeper) -> bytes:
         """Hear what a process says of its action, and keep it at the end of ``way`` if it has an answer."""
         try:
+            _wait(goes)
             answers, said = goes.channel.recv(), goes.channel.recv_bytes()
         except (EOFError, ConnectionError):
             raise BoxDied(f"the box died: {_ending(goes)}") from None
@@ -242,6 +246,13 @@ def _welcome(channel: Connection, parent: Connection | None) -> _Keeper:
         return _Keeper(channel.recv(), channel, parent, stays=False)
     except EOFError:
         raise BoxDied("the box could not be forked") from None
+
+
+def _wait(keeper: _Keeper) -> None:
+    """Wait for an answer: a dead process that left others behind, which hold its end of the pipe open, gives none."""
+    while not keeper.channel.poll(LOOK_S):
+        if has_ended(keeper.pid) and not keeper.channel.poll():
+            raise EOFError
 
 
 def _ending(keeper: _Keeper) -> str:

@@ -72,6 +72,14 @@ def _resident_mb(process: Path) -> float:
     return 0.0
 
 
+def has_ended(pid: int) -> bool:
+    """Whether a process is gone, or only waits to be taken note of (Linux)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in ("Z", "X")
+    except OSError:
+        return True
+
+
 def how_it_ended(code: int, said: Path | None = None) -> str:
     """An exit code in words (a signal is negative), with the last words left in a file."""
     how = signal.Signals(-code).name if code < 0 else f"exit status {code}"

@@ -177,6 +177,8 @@ class Child:
         while not self._pipe.poll(max(0.0, min(LOOK_S, end - time.monotonic()))):
             if time.monotonic() >= end:
                 raise ChildFailed(late)
+            if not self.is_alive and not self._pipe.poll():  # others that it started hold its end of the pipe open
+                raise EOFError
             if waiting is not None:
                 waiting.look()
             _forget_what_was_said(self._said)

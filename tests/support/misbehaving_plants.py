@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 
+from manners import MANNERS
 from plants import SlowBranch
 
 _hoard: list[bytearray] = []
@@ -28,3 +29,16 @@ class Forking(SlowBranch):
                 os.fork()
                 time.sleep(600)
         time.sleep(600)
+
+
+class Rude(SlowBranch):
+    """Behaves as ``manner`` says, once, when it is first driven with a tone."""
+
+    def __init__(self, manner):
+        super().__init__()
+        self._manner = manner
+
+    def run_phasors(self, jobs, windows, block_steps, n_blocks):
+        if manner := MANNERS.pop(self._manner, None):
+            manner()
+        return super().run_phasors(jobs, windows, block_steps, n_blocks)

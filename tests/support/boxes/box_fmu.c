@@ -14,9 +14,10 @@
 
 #include "counted.h"
 #include "fmi.h"
+#include "manners.h"
 
 #define THIRD 2.0943951023931953
-enum { FINE, ERRS, PRINTS, SLEEPS, LEAKS, NANS, ABORTS, SEGFAULTS, DISCARDS, DIES };
+enum { FINE, ERRS, PRINTS, SLEEPS, LEAKS, NANS, ABORTS, SEGFAULTS, DISCARDS, DIES, IS_RUDE };
 
 typedef struct {
     double r[16], i[3], theta, x_pll, x_d, x_q, t;
@@ -110,6 +111,9 @@ static status misbehave(Instance *c, State *s) {
     case DIES:
         c->broken = 1;
         return Fatal;
+    case IS_RUDE: /* see manners.h */
+        bad_manners();
+        break;
     }
     return OK;
 }
