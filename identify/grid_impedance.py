@@ -110,10 +110,6 @@ class GridImpedance:
         """R + 2j pi f L at signed frequencies (Hz)."""
         return self.r_ohm + 2j * np.pi * np.asarray(f_hz) * self.l_h
 
-    def fitted_std(self, f_hz: np.ndarray) -> np.ndarray:
-        """Standard deviation of `fitted`, as a complex number (ohm)."""
-        return np.hypot(self.r_std_ohm, 2.0 * np.pi * np.asarray(f_hz) * self.l_std_h)
-
 
 class _Lines(NamedTuple):
     """Phasors (V, A) of the lines of a window that count, ascending in frequency, f1's multiples left out."""
