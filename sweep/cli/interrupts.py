@@ -60,10 +60,13 @@ class Interrupts:
         os._exit(self._leave_with)
 
     def unraisable(self, what: Any) -> None:
-        """For `sys.unraisablehook`: an interrupt that came where nothing can be raised is raised a moment later."""
-        if not (self.came and issubclass(what.exc_type, KeyboardInterrupt)):
+        """For `sys.unraisablehook`: an interrupt that came where nothing can be raised is raised a moment later.
+
+        Whatever else finalisers of what is interrupted complain of is passed over.
+        """
+        if not self.came:
             self._hook(what)
-        elif not self._over:
+        elif issubclass(what.exc_type, KeyboardInterrupt) and not self._over:
             self._leave_with = None
             signal.signal(signal.SIGALRM, self)
             signal.setitimer(signal.ITIMER_REAL, AGAIN_S)

@@ -152,6 +152,19 @@ def test_an_interrupt_that_nobody_can_catch_is_raised_a_moment_later(interrupts)
         wait_for(lambda: False, 60.0)
 
 
+class Cluster:
+    """Complains when it goes."""
+
+    def __del__(self):
+        raise RuntimeError("IOLoop is closed")
+
+
+def test_finalisers_of_what_is_interrupted_print_nothing(interrupts):
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+    Cluster()
+
+
 def test_threads_of_what_is_interrupted_print_nothing(interrupts):
     with pytest.raises(KeyboardInterrupt):
         interrupt()
