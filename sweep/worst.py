@@ -146,7 +146,10 @@ def sweeping(configuration: Mapping[str, Any], jobs: int, parameters: Sequence[s
     """
     plain = dict(configuration)
     if not {"campaign", "plant", "sweep"} <= set(plain):
-        raise WorstError("the table does not say which campaign it came from: its worst point is a prediction")
+        raise WorstError(
+            "the table does not say which campaign it came from, so that nothing can be swept again: "
+            "`seqsweep surrogate TABLE --grid ...` predicts its worst point"
+        )
 
     def sweep(point: np.ndarray) -> FrequencyResponse:
         config = listed(plain, point[None], parameters)

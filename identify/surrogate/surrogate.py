@@ -165,7 +165,10 @@ class Surrogate:
             If the table does not hold the measured fundamental of every operating point.
         """
         if self.terminal is None:
-            raise SurrogateError("the table lacks the measured fundamental of its operating points: sweep it again")
+            raise SurrogateError(
+                "the table lacks the measured fundamental of its operating points, from which |v| on a grid follows: "
+                "sweep it again, or of an imported table name the operating point (`seqsweep surrogate --at P,Q,V`)"
+            )
         return values(self.terminal, self.scale.unit(self.region.complete(points)))[:, 0, 0]
 
     @cached_property
@@ -222,6 +225,14 @@ class Surrogate:
         """Refuse an operating point outside the region, in the name of what asked for it."""
         try:
             self._inside(np.asarray(point, dtype=float))
+        except SurrogateError as error:
+            raise SurrogateError(f"{name}: {error}") from None
+
+    def check_power(self, power: Sequence[float], name: str) -> None:
+        """Refuse a dispatch (P, Q) outside of what was swept at any |v|, in the name of what asked for it."""
+        box = replace(self.region, hull=None)
+        try:
+            box.check(box.complete(np.array([*power, self.region.low[2]])))
         except SurrogateError as error:
             raise SurrogateError(f"{name}: {error}") from None
 

@@ -26,8 +26,11 @@ from seqsweep.identify.surrogate.surrogate import (
 )
 from seqsweep.identify.table.read import Table, read_table
 from seqsweep.identify.table.write import write_table
+from seqsweep.tuning.region.loadflow import Situation, predicted_on
+from seqsweep.tuning.siso import SeriesRL
 
 from ..support import oracle, switching
+from ..support.regions import BASES, TURBINE
 
 F_HZ = 50.0 + np.logspace(-0.3, 2.9, 24)
 REGION = Region(np.array([0.2, 0.0, 0.9]), np.array([1.3, 0.0, 1.1]))
@@ -173,6 +176,23 @@ def test_listed_points_speak_within_their_hull_and_a_box_does_throughout():
     surrogate = build_surrogate(swept(points), region=hull)
     with pytest.raises(SurrogateError, match="outside of the convex hull of the listed operating points"):
         surrogate.evaluate(at[~inside])
+
+
+def test_a_dispatch_of_listed_points_is_asked_for_at_the_voltage_that_the_grid_makes():
+    """The hull does not reach 0.4 MW at the lowest voltage, where the load flow begins to search."""
+    ends = [[0.3, 0.0, 1.0], [1.2, 0.0, 1.0], [0.7, 0.0, 0.9], [0.7, 0.0, 1.1]]
+    diamond = np.array([*ends, [0.5, 0.0, 1.02], [0.9, 0.0, 0.97]])
+    table = [TURBINE.swept(point, f_hz=F_HZ) for point in diamond]
+    region = hulled(diamond, Region(diamond.min(axis=0), diamond.max(axis=0)))
+    surrogate = build_surrogate(table, region=region, bases=BASES)
+    grid = SeriesRL(0.01, 0.06, 50.0)
+    found = predicted_on(surrogate, (0.4, 0.0), Situation("grid", grid, 1.0, 690.0))
+    truth_v = oracle.terminal_voltage(0.4e6, grid.r_ohm, grid.l_h, 690.0)
+    assert found.meta["terminal_voltage_pu"] == pytest.approx(truth_v / 690.0, abs=1e-3)
+    with pytest.raises(SurrogateError, match=r"p2_q0: active_power_mw = 2 is outside the swept region"):
+        predicted_on(surrogate, (2.0, 0.0), Situation("grid", grid, 1.0, 690.0))
+    with pytest.raises(SurrogateError, match=r"p0.32_q0: \(P, Q, \|v\|\) = .* is outside of the convex hull"):
+        predicted_on(surrogate, (0.32, 0.0), Situation("grid", grid, 1.05, 690.0))
 
 
 BAD = {

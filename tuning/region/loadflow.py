@@ -165,13 +165,14 @@ def predicted_on(surrogate: Surrogate, power: Sequence[float], situation: Situat
         raise SeqsweepError(
             f"|v_pcc| lies between {low:g} and {high:g} pu; which it is follows from the grid: give --source-voltage"
         )
-    surrogate.check_inside([*power, low], named(power))
+    surrogate.check_power(power, named(power))
     point = situation.place(surrogate, surrogate.region.complete(np.array([[*power, low]])))
     if not np.isfinite(point[0, 2]):
         raise SeqsweepError(
             f"{named(power)}: no operating point of the swept region exists on this grid: |v_pcc| would leave "
             f"{low:g} to {high:g} pu, or the grid cannot carry the power"
         )
+    surrogate.check_inside(point[0], named(power))
     response = surrogate.response(point[0])
     meta: dict[str, Any] = {**response.meta, "op_id": named(power), **_fundamental(surrogate, point)}
     return replace(response, meta=meta)
