@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
@@ -115,7 +116,7 @@ def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str
         end_spares()
     if backend == "dask":
         with _dask_client(workers.jobs, workers.scheduler) as client:
-            yield partial(_on_cluster, client, partial(_in_process, plan.hosting), workers.jobs)
+            yield partial(_on_cluster, client, partial(_on_worker, plan.hosting), workers.jobs)
     elif backend == "loky":
         yield partial(_in_processes, partial(_in_process, plan.hosting), workers.jobs)
     else:
@@ -291,3 +292,13 @@ def _in_process(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
     with host_of(hosting).measuring(1) as measure:
         (result,) = measure([batch])
         return batch.key, result
+
+
+def _on_worker(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
+    """In a worker of dask: whose scheduler goes may find its own client's loop closed, and is to say nothing of it."""
+    sys.unraisablehook = _nothing
+    return _in_process(hosting, batch)
+
+
+def _nothing(what: object) -> None:
+    """For `sys.unraisablehook`."""
