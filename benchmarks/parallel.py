@@ -30,7 +30,7 @@ def measure(quick: bool) -> Report:
 
 def child(quick: bool) -> dict[str, float]:
     """Times (s) and efficiencies."""
-    from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.measure.measure import measure as measure_batch
     from seqsweep.sweep.run.campaign import run
 
     plan, plant = table_1_plan("sweep.tolerance=1e-4")
@@ -80,7 +80,7 @@ def _in_turns(functions: Sequence[Callable[[], object]], repetitions: int) -> li
 
 def _kernel_s(plan: Any, plant: Any) -> float:
     """Time of the stepping alone: the sweep again, with a clock around what the plant is asked to step."""
-    from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.measure.measure import measure as measure_batch
 
     spent = 0.0
 
