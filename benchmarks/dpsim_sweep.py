@@ -43,7 +43,7 @@ class _Timed:
 
 def measure(quick: bool) -> Report:
     """Time of both sweeps, part by part."""
-    from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.measure.measure import measure as measure_batch
 
     sys.path.insert(0, str(ROOT))
     ours, our_points, our_simulated_s = _our_sweep(5)
@@ -74,7 +74,7 @@ def measure(quick: bool) -> Report:
 
 def _our_sweep(repetitions: int) -> tuple[float, int, float]:
     """CPU time (s) of our sweep at 1e-4, its points, its simulated seconds."""
-    from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.measure.measure import measure as measure_batch
 
     plan, plant = table_1_plan("sweep.tolerance=1e-4")
 

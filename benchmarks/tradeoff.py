@@ -35,7 +35,7 @@ def measure(quick: bool) -> Report:
 
 def _one(step_us: float, repetitions: int) -> tuple[float, float, float]:
     """Largest and median relative Frobenius error, and the sweep's time (s)."""
-    from seqsweep.sweep.measure import measure as measure_batch
+    from seqsweep.sweep.measure.measure import measure as measure_batch
 
     sys.path.insert(0, str(ROOT / "tests"))
     import oracle
