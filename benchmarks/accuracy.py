@@ -69,13 +69,13 @@ def _one(way: Way) -> Found:
     from seqsweep.identify.uncertainty import relative_uncertainty
     from seqsweep.plant.turbine.reference import ReferenceTurbine
     from seqsweep.sweep.config.sections import Config
-    from seqsweep.sweep.measure.measure import measure as measure_batch
     from seqsweep.sweep.measure.linearity import judged
+    from seqsweep.sweep.measure.measure import measure as measure_batch
     from seqsweep.sweep.planning import make_plan
     from seqsweep.sweep.run.campaign import response_of
 
-    sys.path.insert(0, str(ROOT / "tests"))
-    import oracle
+    sys.path.insert(0, str(ROOT))
+    from tests.support import oracle
 
     plant = _clocked(ReferenceTurbine)
     config = Config.from_dict(

@@ -66,11 +66,10 @@ def _scipy(repetitions: int, simulated_s: float) -> dict[str, float]:
     from numba import njit
     from scipy.integrate import solve_ivp
 
-    sys.path.insert(0, str(ROOT / "tests"))
-    import oracle
-
+    sys.path.insert(0, str(ROOT))
     from seqsweep.plant.kernels import turbine as kernel
     from seqsweep.plant.turbine.parameters import TABLE_I
+    from tests.support import oracle
 
     x, wind = oracle.equilibrium(POWER_W, VOLTAGE_V)
     nu, amplitude = 2.0 * np.pi * (TONE_HZ - 50.0), AMPLITUDE * VOLTAGE_V

@@ -37,8 +37,8 @@ def _one(step_us: float, repetitions: int) -> tuple[float, float, float]:
     """Largest and median relative Frobenius error, and the sweep's time (s)."""
     from seqsweep.sweep.measure.measure import measure as measure_batch
 
-    sys.path.insert(0, str(ROOT / "tests"))
-    import oracle
+    sys.path.insert(0, str(ROOT))
+    from tests.support import oracle
 
     plan, plant = table_1_plan(f"plant.parameters.dt_s={step_us}e-6")
 
