@@ -84,7 +84,7 @@ def _scipy(repetitions: int, simulated_s: float) -> dict[str, float]:
     def compiled(t: float, y: Any) -> Any:
         v_re, v_im = VOLTAGE_V + amplitude * np.cos(nu * t), amplitude * np.sin(nu * t)
         c, s = np.cos(y[2]), np.sin(y[2])
-        return np.array(device(y, v_re, v_im, v_re, v_im, c, s, wind, p))
+        return np.array(device(y, v_re, v_im, v_re, v_im, c, s, (wind, None, None), p))
 
     without_shunt = np.delete(x, (2, 3))
     compiled(0.0, without_shunt)
