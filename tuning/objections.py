@@ -31,6 +31,7 @@ _UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y
 _EXACT = 1e-6  # misfit relative to Y of a fit that meets the rows
 _DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
+_SLOW_LOOPS_HZ = 20.0  # |f - f1| within which the loops of power, synchronisation and voltage of converters act
 
 Decision = Literal["stable", "unstable", "undecided"]
 Standing = Literal["sound", "contested", "denied"]
@@ -85,6 +86,7 @@ def decide(case: Case) -> Ruling:
         (_left_out_row_denies, "sound"),
         (_may_hide, "sound"),
         (_may_grow, "sound"),
+        (_may_have_been_held, "sound"),
         (_improbable, "sound"),
         (_unswept, "sound"),
         (_grid_unmeasured, "sound"),
@@ -262,6 +264,20 @@ def _may_grow(case: Case) -> str:
         f"{mode.pole.real:.2g} +- {NORMAL_95 * mode.std_per_s:.2g} 1/s (below zero it decays), so that it may as well "
         f"grow: the runs on {anchor.where} exclude only what grows faster than {anchor.growth_bound_per_s:.2g} 1/s. "
         "Longer runs, or more points near it, would tell"
+    )
+
+
+def _may_have_been_held(case: Case) -> str:
+    """The grid on which the device rested may have held a mode of its own that no row comes near and a stiffer grid
+    lets go."""
+    anchor, lowest = case.anchor, float(case.model.nu_hz[0])
+    if not case.stable or anchor is None or anchor.grid is None or lowest <= _SLOW_LOOPS_HZ:
+        return ""
+    if abs(case.grid.at_f1) >= abs(anchor.grid.at_f1):
+        return ""
+    return (
+        f"the device was seen to be stable on {anchor.where}, which may have held a mode that grows by itself on a "
+        f"stiffer grid; the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
     )
 
 

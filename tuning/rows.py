@@ -66,6 +66,8 @@ def believed(rows: Rows, model: RationalModel) -> Rows:
     if len(data.nu_hz) == len(model.nu_hz):
         return rows
     kept = np.abs(data.nu_hz[:, None] - model.nu_hz).min(axis=1) < _SAME * data.nu_hz
+    if kept.all():  # of two rows at one place one was left out
+        return rows
     return rows_of(_some(data, kept))._replace(left_out=_some(data, ~kept))
 
 

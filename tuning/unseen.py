@@ -6,12 +6,16 @@ changes the number of unstable modes (small gain). So a mode between two rows ma
 ``|Re p| / |(Y + Yg)^-1|``. What such a residue would do to the rows is held against what they leave unexplained: the
 likelihood of the best such mode, every parameter of the fit moving with it, against the likelihood of none.
 
+A device that was seen to be stable on a grid, and not on an ideal source, may hide a mode that grows by itself and that
+this grid holds. Such a mode matters wherever it mattered there, however stiff the grid is on which it is judged.
+
 The narrowest mode looked for is damped by half a per cent, and dies away within seconds: one that lasted longer would
 not have come to rest in the runs of the sweep.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -91,13 +95,14 @@ class _Left(NamedTuple):
     cost: float
 
 
-def unseen(model: RationalModel, data: DqData, grid: Grid, crowded: np.ndarray) -> Unseen | None:
+def unseen(model: RationalModel, data: DqData, grids: Sequence[Grid], crowded: np.ndarray) -> Unseen | None:
     """The worst mode that may hide between the rows of ``data``; None where all are excluded at a glance.
 
+    ``grids`` are the one that is judged and, if there is one, the one on which the device was seen to be stable.
     In gaps that are ``crowded`` (n,) by modes of the fit, these take up what a further mode would do to the rows, and
     no glance excludes one. In the hole around f1 the rows have to exclude it; elsewhere they must not ask for it.
     """
-    places, left = _places(model, grid), _left(model, data)
+    places, left = _places(model, grids), _left(model, data)
     glance, gap = _glance(model, left, places), np.searchsorted(model.nu_hz, places.nu_hz)
     asked = crowded[gap] & (glance >= _AT_A_GLANCE)
     glance = np.where(asked, 0.0, glance)
@@ -118,7 +123,7 @@ def overruled(model: RationalModel, left_out: DqData, grid: Grid) -> float | Non
     return float(left_out.nu_hz[np.argmax(moved)]) if np.any(moved > 1.0) else None
 
 
-def _places(model: RationalModel, grid: Grid) -> _Places:
+def _places(model: RationalModel, grids: Sequence[Grid]) -> _Places:
     """Where modes may hide: between rows that are further apart than such a mode is wide."""
     edges = np.append(0.0, model.nu_hz)
     nu = edges[:-1, None] + np.diff(edges)[:, None] * _PLACES
@@ -128,7 +133,8 @@ def _places(model: RationalModel, grid: Grid) -> _Places:
     hides = 2.0 * np.pi * apart > 2.0 * width
     in_gap = np.broadcast_to((edges[1:] > DENSE * edges[:-1])[:, None], nu.shape)
     w, width = w[hides], width[hides]
-    return _Places(nu[hides], -width + 1j * w, width / _impedance(model, grid, 1j * w), in_gap[hides])
+    shown = np.max([_impedance(model, grid, 1j * w) for grid in grids], axis=0)
+    return _Places(nu[hides], -width + 1j * w, width / shown, in_gap[hides])
 
 
 def _impedance(model: RationalModel, grid: Grid, s: np.ndarray) -> np.ndarray:

@@ -100,7 +100,10 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     crossings = bode_crossings(lambda f: evaluate_pn(model, f), grid, *swept_band(model))
     doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
     by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model, loop.hole).number
-    hidden = unseen(model, rows.data, grid, crowded(model, loop.hole)) if stable and rows is not None else None
+    seen_on = () if anchor is None or anchor.grid is None else (anchor.grid,)
+    hidden = None
+    if stable and rows is not None:
+        hidden = unseen(model, rows.data, (grid, *seen_on), crowded(model, loop.hole))
     still_open = anchor.still_open if stable and anchor is not None else None
     ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
     return Stability(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.fit.rational import row_slopes
 from seqsweep.identify.frames import dq_to_pn
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.tuning.rows import believed, rows_of
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune_point
 from seqsweep.tuning.unseen import SHOWN, _columns, _evidence, _left, _Places, overruled, unseen
@@ -61,7 +64,7 @@ def test_noise_alone_asks_for_no_mode() -> None:
     rows = np.geomspace(1.0, 900.0, 60)
     for seed in range(6):
         response = table(rows, 0.0, 1e-2, seed)
-        found = unseen(fit_response(response), to_dq(response), GRID, np.zeros(len(rows), dtype=bool))
+        found = unseen(fit_response(response), to_dq(response), (GRID,), np.zeros(len(rows), dtype=bool))
         assert found is None or found.in_gap or found.evidence < SHOWN
         assert tune_point(response, GRID).verdict == "stable"
 
@@ -85,3 +88,22 @@ def test_evidence_is_that_of_a_least_squares_of_fit_and_mode_together() -> None:
     rest = left.misfit.ravel() - everything @ np.linalg.lstsq(everything, left.misfit.ravel(), rcond=1e-14)[0]
     freedom = left.misfit.size - len(model.covariance_root)
     assert evidence == pytest.approx(freedom * np.log(left.cost / np.sum(rest**2)), rel=1e-3)
+
+
+def test_a_mode_that_the_grid_of_the_sweep_may_have_held_matters_on_a_stiffer_one() -> None:
+    """What a mode must be to matter, it must be on the weaker of the two grids."""
+    response = table(np.geomspace(40.0, 900.0, 16), 0.0, 1e-2)
+    model, data, nowhere = fit_response(response), to_dq(response), np.zeros(len(response), dtype=bool)
+    stiff = SeriesRL(0.0002, 0.003, F1_HZ)
+    alone, weak, both = (unseen(model, data, grids, nowhere) for grids in ((stiff,), (GRID,), (stiff, GRID)))
+    assert weak is not None
+    assert both == weak
+    assert alone is None or alone.excess < weak.excess
+
+
+def test_of_two_rows_at_one_place_one_may_be_left_out() -> None:
+    """Nothing is at a place of its own then that was left out."""
+    data = to_dq(table(AROUND, 0.0, 1e-3))
+    model = replace(fit_response(table(AROUND, 0.0, 1e-3)), nu_hz=data.nu_hz)
+    twice = DqData(*(np.concatenate([column, column[4:5]]) for column in (data.nu_hz, data.y)), None)
+    assert believed(rows_of(twice), model).left_out is None

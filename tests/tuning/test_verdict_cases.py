@@ -212,6 +212,19 @@ def test_stiff_droop_is_unstable_on_strong_grids_alone(stiff_table: FrequencyRes
     assert point.stability.n_open_loop_unstable == 2
 
 
+@pytest.mark.parametrize("first_hz", [6.0, 19.0, 46.0, 60.0, 80.0])
+@pytest.mark.parametrize("scr", [60.0, 90.0, 300.0])
+def test_rows_far_from_f1_do_not_make_a_stiff_droop_stable(first_hz: float, scr: float) -> None:
+    """Its own modes, 14 Hz from f1, grow on stiffer grids than the one on which it rested; once it was certain that
+    they decay."""
+    device = linear_forming(Forming(**DROOP, **STIFF), GFM)
+    r, x = grid_of(GFM.z_ohm / 2.0, 0.1)
+    fact = {"grid": {"r_ohm": r, "x_ohm": x}, "basis": "shots", "growth_bound_per_s": 0.7, "disturbed_s": 1.0}
+    point = judged(rows(device, F1_HZ + np.linspace(first_hz, 950.0, 20), fact), *grid_of(GFM.z_ohm / scr, 0.1))
+    assert truth(device, *grid_of(GFM.z_ohm / scr, 0.1)) == "unstable"
+    assert point.verdict != "stable"
+
+
 def test_where_a_device_rests_is_needed_where_it_decides() -> None:
     """The count of the stiff droop's own unstable poles cannot be left to a fit."""
     device = linear_forming(Forming(**DROOP, **STIFF), GFM)
