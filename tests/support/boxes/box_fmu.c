@@ -101,7 +101,7 @@ static status misbehave(Instance *c, State *s) {
         s->r[12] = s->r[13] = NAN;
         break;
     case ABORTS:
-        fprintf(stderr, "assertion failed: theta < 2 pi\n");
+        fprintf(stderr, "\nassertion failed: theta < 2 pi\n"); /* what was printed before may end within a line */
         abort();
     case SEGFAULTS:
         *nowhere = 1;
