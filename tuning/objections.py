@@ -31,6 +31,7 @@ _UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y
 _EXACT = 1e-6  # misfit relative to Y of a fit that meets the rows
 _DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
+_THE_SAME = 1.0 - 1e-6  # an impedance at f1 that is smaller by less, as by rounding, is the same
 _SLOW_LOOPS_HZ = 20.0  # |f - f1| within which the loops of power, synchronisation and voltage of converters act
 
 Decision = Literal["stable", "unstable", "undecided"]
@@ -273,7 +274,7 @@ def _may_have_been_held(case: Case) -> str:
     anchor, lowest = case.anchor, float(case.model.nu_hz[0])
     if not case.stable or anchor is None or anchor.grid is None or lowest <= _SLOW_LOOPS_HZ:
         return ""
-    if abs(case.grid.at_f1) >= abs(anchor.grid.at_f1):
+    if abs(case.grid.at_f1) > _THE_SAME * abs(anchor.grid.at_f1):
         return ""
     return (
         f"the device was seen to be stable on {anchor.where}, which may have held a mode that grows by itself on a "

@@ -164,7 +164,7 @@ def _augmented(a: np.ndarray, column: np.ndarray, dt_s: float, n_powers: int) ->
 
 
 def exponential(matrix: np.ndarray) -> np.ndarray:
-    """exp of a small real matrix: its Taylor series, of a part of it that is squared again and again.
+    """exp of a small real matrix (n, n): its Taylor series, of a part of it that is squared again and again.
 
     scipy's would do, but importing scipy takes a process longer than to simulate ten seconds.
     """

@@ -461,9 +461,11 @@ def _alone(path: Path) -> Iterator[None]:
         return
     with lock:
         _lock_within(lock, _PATIENCE_S)
-        yield
-        with suppress(OSError):
-            beside.unlink()  # who waits for it holds it open
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                beside.unlink()  # who waits for it holds it open
 
 
 def _lock_within(file: IO[str], patience_s: float) -> None:

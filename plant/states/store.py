@@ -62,8 +62,9 @@ def outdated(kept: Iterable[Way], room: Room, newcomer: Way) -> Way | None:
     ways = list(kept)
     for of_branches, most in ((True, room.branches), (False, room.settled)):
         alike = [way for way in ways if (len(way) > BRANCHED_FROM) == of_branches]
-        if len(alike) > most:
-            return next((way for way in alike if newcomer[: len(way)] != way), None)
+        gone = next((way for way in alike if newcomer[: len(way)] != way), None)
+        if len(alike) > most and gone is not None:
+            return gone
     return None
 
 
