@@ -156,11 +156,6 @@ def _nearest(nu_hz: np.ndarray, places_hz: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(nu_hz[:, None] - places_hz).argmin(axis=0))
 
 
-def _freedom(model: RationalModel, left: _Left) -> int:
-    """Numbers that the rows hold beyond the parameters of the fit."""
-    return max(left.misfit.size - len(model.covariance_root), ELEMENTS)
-
-
 def _glance(model: RationalModel, left: _Left, places: _Places) -> np.ndarray:
     """Chi-squared (g,) that the least mode that matters causes in the two rows beside it, less what these leave open.
 
@@ -193,6 +188,11 @@ def _evidence(model: RationalModel, left: _Left, places: _Places) -> np.ndarray:
     missing = np.maximum(places.residue - np.linalg.norm(along / known, axis=1), 0.0)
     rest = left.cost - gain + known[:, 0] * missing**2
     return -_freedom(model, left) * np.log(rest / left.cost)
+
+
+def _freedom(model: RationalModel, left: _Left) -> int:
+    """Numbers that the rows hold beyond the parameters of the fit."""
+    return max(left.misfit.size - len(model.covariance_root), ELEMENTS)
 
 
 def _taken(model: RationalModel) -> np.ndarray:

@@ -256,6 +256,19 @@ def _locked(descriptor: int) -> bool:
 # In the child
 
 
+def main() -> None:
+    """The child's whole life: ``sys.argv`` holds the pipe's descriptor and the runner's process id."""
+    die_with_parent(int(sys.argv[2]))
+    _offer_to_the_memory_killer()
+    _serve(Connection(int(sys.argv[1])))
+
+
+def _offer_to_the_memory_killer() -> None:
+    """Where memory runs out, a plant that leaks goes before anything else."""
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
 def _serve(pipe: Connection) -> None:
     """Build the plant, show its card, then answer question after question until the pipe closes."""
     spec: PlantSpec = pipe.recv()
@@ -285,16 +298,3 @@ def _trouble(error: Exception) -> _Trouble:
     if isinstance(error, OSError) and is_without_room(error):
         return _Trouble(f"{error.strerror}: {error.filename or 'while the plant was at work'}", error.errno)
     return _Trouble(reason_of(error))
-
-
-def _offer_to_the_memory_killer() -> None:
-    """Where memory runs out, a plant that leaks goes before anything else."""
-    with suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("1000")
-
-
-def main() -> None:
-    """The child's whole life: ``sys.argv`` holds the pipe's descriptor and the runner's process id."""
-    die_with_parent(int(sys.argv[2]))
-    _offer_to_the_memory_killer()
-    _serve(Connection(int(sys.argv[1])))

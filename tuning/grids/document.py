@@ -335,16 +335,16 @@ def _series_capacitor(element: Element, at: Place) -> list[Branch]:
     return [series_capacitor(element.name, at.a, at.b, x, at.w1_rad_s, values.get("r_ohm", 0.0))]
 
 
+def _shunt_capacitor(element: Element, at: Place) -> list[Branch]:
+    return [shunt_capacitor(element.name, at.a, _capacitance(element, at), element.values.get("r_ohm", 0.0))]
+
+
 def _capacitance(element: Element, at: Place) -> float:
     """C (F) of a phase from c_uf or from q_mvar at the voltage of the place."""
     _exactly_one(element, ("q_mvar", "c_uf"))
     if "c_uf" in element.values:
         return _positive(element, "c_uf") * 1e-6
     return _positive(element, "q_mvar") * 1e6 / (at.w1_rad_s * _volts(element, at.voltage_v) ** 2)
-
-
-def _shunt_capacitor(element: Element, at: Place) -> list[Branch]:
-    return [shunt_capacitor(element.name, at.a, _capacitance(element, at), element.values.get("r_ohm", 0.0))]
 
 
 def _shunt_reactor(element: Element, at: Place) -> list[Branch]:
