@@ -38,16 +38,20 @@ _KEPT_PER_KERNEL = 8
 _PATIENCE_S = 300.0
 """How long (s) a process waits for another one that compiles the same kernel."""
 
+_MAKERS = "compiled.py", "compiler.py"
+"""The files that every kernel's code depends on."""
+
 _WITHOUT_MEANING = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS")
 """Settings of numba that do not change the code."""
 
-_STACK = " alignstack(64)"
-_LIBM = {"atan2", "cos", "exp", "fmod", "hypot", "log", "pow", "sin", "sqrt", "tan"}
-"""Functions that every process of Python has at hand."""
+_NO_WAY_IN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 _ARRAY_HEAD, _VALUES = "pp", {"f": "double", "i": "i64", "p": "ptr", "b": "i8"}
 
 _lock = threading.RLock()
+_under_way = threading.local()
+"""Whether this thread makes code that is kept."""
+
 _engines: list[Any] = []
 """Owners of loaded code: it lives as long as the process."""
 
@@ -154,12 +158,19 @@ class Kernel:
 
         if self._options.get("cache"):
             return self.dispatcher
-        return numba.njit(**(self._options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}))(self.py_func)
+        return numba.njit(**(self._options | _NO_WAY_IN))(self.py_func)
+
+    @functools.cached_property
+    def _part(self) -> Any:
+        """What code that is kept is made of; it cannot be called by any other."""
+        from .compiler import to_text
+
+        return to_text(self.py_func, self._options | _NO_WAY_IN)
 
     @property
     def _numba_type_(self) -> Any:
         """How numba sees this function among the names that a kernel uses."""
-        return self._within_kernels._numba_type_
+        return (self._part if getattr(_under_way, "kept", False) else self._within_kernels)._numba_type_
 
     def _found(self, kinds: str, arguments: Sequence[Any]) -> Code:
         kept = None
@@ -172,7 +183,19 @@ class Kernel:
     def _made(self, path: Path, arguments: Sequence[Any]) -> tuple[str, bytes]:
         """Name and object code, compiled by the first process that asks for it; others wait for what it leaves."""
         with _alone(path):
-            return _read(path) or _write(path, *_compiled(self.py_func, self._options, arguments))
+            return _read(path) or _write(path, *self._compiled(arguments))
+
+    def _compiled(self, arguments: Sequence[Any]) -> tuple[str, bytes]:
+        """Name and object code; empty where it cannot stand alone."""
+        from .compiler import code_of
+
+        _under_way.kept = True
+        try:
+            letters = "".join(map(_letters, arguments))
+            given = ["ptr", "ptr", *(_VALUES[letter] for letter in letters)]
+            return code_of(self.py_func, self._options | _NO_WAY_IN | {"_nrt": False}, map(_plain, arguments), given)
+        finally:
+            _under_way.kept = False
 
 
 # ---------------------------------------------------------------------- arguments
@@ -246,43 +269,6 @@ _CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_double, "b":
 
 
 # ---------------------------------------------------------------------- code
-
-
-def _compiled(function: Callable[..., Any], options: dict[str, Any], arguments: Sequence[Any]) -> tuple[str, bytes]:
-    """Name and object code of the compiled function; empty where it cannot stand alone."""
-    import numba
-    from numba.core.errors import NumbaError
-
-    alone = {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
-    dispatcher: Any = numba.njit(**(options | alone))(function)
-    try:
-        dispatcher.compile(tuple(numba.typeof(_plain(argument)) for argument in arguments))
-    except NumbaError:  # it allocates, or is wrong: the ordinary way tells
-        return "", b""
-    (found,) = dispatcher.overloads.values()
-    name, library = found.fndesc.llvm_func_name, found.library
-    if found.signature.return_type != numba.types.none or not _stands_alone(library.get_llvm_str(), name, arguments):
-        return "", b""
-    return name, _object_code(library)
-
-
-def _stands_alone(text: str, name: str, arguments: Sequence[Any]) -> bool:
-    """Whether the function takes what `_values` gives, and asks for nothing but LLVM's own functions and libm's."""
-    head = re.search(rf'^define .*@"?{re.escape(name)}"?\((.*?)\) local_unnamed_addr|^\Z', text, re.MULTILINE)
-    if head is None or head[1] is None:
-        return False
-    taken = [part.split()[0] for part in re.sub(r"\([^()]*(\([^()]*\)[^()]*)*\)", "", head[1]).split(",")]
-    given = ["ptr", "ptr", *(_VALUES[letter] for argument in arguments for letter in _letters(argument))]
-    asked = re.findall(r'^declare .*?@"?([\w.]+)"?\(', text, re.MULTILINE)
-    return taken == given and all(function.startswith("llvm.") or function in _LIBM for function in asked)
-
-
-def _object_code(library: Any) -> bytes:
-    """Object code of a library of numba's, its stack aligned for the widest vectors."""
-    import llvmlite.binding as llvm
-
-    aligned = re.sub(r"^(define .*?)( \{)$", rf"\1{_STACK}\2", library.get_llvm_str(), flags=re.MULTILINE)
-    return bytes(library.codegen._tm.emit_object(llvm.parse_assembly(aligned)))
 
 
 def _loaded(name: str, code: bytes, letters: str) -> Code:
@@ -394,13 +380,13 @@ def _text(source: Path) -> bytes:
 
 def _is_whole(source: Path) -> bool:
     """Whether a file takes nothing from others but the decorators of this one."""
-    return {path.name for path in _sources(source)} <= {source.name, Path(__file__).name}
+    return {path.name for path in _sources(source)} <= {source.name, *_MAKERS}
 
 
 def _sources(source: Path) -> list[Path]:
     found = [source]
     for path in found:
-        others = sorted(set(re.findall(rb"^from \.(\w+) import", path.read_bytes(), re.MULTILINE)))
+        others = sorted(set(re.findall(rb"^ *from \.(\w+) import", path.read_bytes(), re.MULTILINE)))
         beside = (path.with_name(f"{other.decode()}.py") for other in others)
         found += [other for other in beside if other not in found]
     return found
