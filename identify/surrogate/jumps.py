@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .certainty import certainty, relative_error
+from .certainty import all_alike, certainty, relative_error
 from .choosing import choose_shapes
 from .partitions import evidence_of
 from .sparse_rational import Data, Fitted, fit_shape, predict, values
@@ -338,4 +338,4 @@ def _differ(points: np.ndarray, few: _Few, split: _Split) -> bool:
 
 def _with_bar(model: Fitted, data: Data, noise: np.ndarray | None, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     found = predict(model, x)
-    return found.y, relative_error(found, certainty(model, data, noise), (), ())
+    return found.y, relative_error(found, certainty(model, data, noise, all_alike(model, data)), (), ())

@@ -7,12 +7,12 @@ its coefficient. Elsewhere it may be of full size: the leverage of a model that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from .certainty import Certainty, relative_error
+from .certainty import Certainty, all_alike, certainty, relative_error, what_each_tells
 from .choosing import larger
 from .sparse_rational import Data, Fitted, fit_shape, predict
 
@@ -27,12 +27,15 @@ class Piece:
         The chosen model first, then its rivals.
     sure : Certainty
         What a leverage stands for.
+    wary : Certainty
+        The same on the safe side: sweeps are placed and regions certified with it.
     data : Data
         The sweeps that they were fitted to.
     """
 
     models: tuple[Fitted, ...]
     sure: Certainty
+    wary: Certainty
     data: Data
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -45,9 +48,16 @@ class Piece:
 
     @cached_property
     def cautious(self) -> Cautious:
-        """The same with what the model may lack in its radius."""
+        """The same on the safe side, with what the model may lack in its radius."""
         shapes = larger(self.models[0].shape)
-        return Cautious(self, tuple(fit_shape(self.data, shape) for shape in shapes))
+        return Cautious(replace(self, sure=self.wary), tuple(fit_shape(self.data, shape) for shape in shapes))
+
+
+def piece_of(models: tuple[Fitted, ...], data: Data, noise: np.ndarray | None) -> Piece:
+    """A piece of models, best first, of sweeps whose rows have the relative variance ``noise`` (f, m)."""
+    best = models[0]
+    sure, wary = (certainty(best, data, noise, counts(best, data)) for counts in (what_each_tells, all_alike))
+    return Piece(models, sure, wary, data)
 
 
 @dataclass(frozen=True)
@@ -59,7 +69,7 @@ class Cautious:
     Attributes
     ----------
     piece : Piece
-        What is predicted.
+        What is predicted, with its radius on the safe side.
     richer : tuple of Fitted
         Models of one product more.
     """

@@ -19,11 +19,10 @@ from ..fit.dq_data import to_dq
 from ..frames import dq_to_pn
 from ..response import FrequencyResponse
 from .between import between
-from .certainty import certainty
 from .choosing import choose_shapes
 from .index_sets import Index
 from .jumps import Border, find_border
-from .piece import Cautious, Piece
+from .piece import Cautious, Piece, piece_of
 from .region import (
     AXES,
     Region,
@@ -366,7 +365,7 @@ def _piece(
         shapes = choose_shapes(Data(own.x, own.y[every], own.weight[every]), region)
     fitted = tuple(fit_shape(own, shape) for shape in shapes)
     models = tuple(model for model in fitted if np.isfinite(model.score)) or fitted
-    return Piece(models, certainty(models[0], own, None if noise is None else noise[:, side]), own)
+    return piece_of(models, own, None if noise is None else noise[:, side])
 
 
 # From a table --------------------------------------------------------------------------------------------------------

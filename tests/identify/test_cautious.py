@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from seqsweep.identify.surrogate.certainty import certainty
+from seqsweep.identify.surrogate.certainty import all_alike, certainty, what_each_tells
 from seqsweep.identify.surrogate.design import WIDER, next_point
-from seqsweep.identify.surrogate.piece import Piece
+from seqsweep.identify.surrogate.piece import piece_of
 from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape
 from seqsweep.identify.surrogate.surrogate import build_surrogate
 
@@ -26,7 +26,7 @@ def plane_with(x):
     y = np.repeat(y, 5, axis=0) * (1.0 + 1e-6 * random.normal(size=(5, len(x), 4)))
     data = Data(x, y, 1.0 / np.linalg.norm(y, axis=2))
     fitted = fit_shape(data, PLANE)
-    return Piece((fitted,), certainty(fitted, data, None), data)
+    return piece_of((fitted,), data, None)
 
 
 def caution_of(piece, x):
@@ -47,6 +47,36 @@ def test_where_the_sweeps_tell_every_product_caution_costs_little():
 def test_caution_leaves_the_prediction_alone():
     piece = plane_with(CROSS)
     assert np.array_equal(piece.cautious.evaluate(CORNER)[0], piece.evaluate(CORNER)[0])
+
+
+def lacking_of(x, y, counts):
+    """What a plane through sweeps x (m, 2) of Y (m, 4) lacks, relative to ||Y||^2, sweeps counted by ``counts``."""
+    data = Data(x, y[None], 1.0 / np.linalg.norm(y, axis=1)[None])
+    fitted = fit_shape(data, PLANE)
+    return certainty(fitted, data, None, counts(fitted, data)).lacking[0]
+
+
+def residual_variance(x, y):
+    """The textbook's: sum of squares over sweeps without coefficients, by an ordinary least squares."""
+    weight = 1.0 / np.linalg.norm(y, axis=1)[:, None]
+    columns = weight * np.column_stack([np.ones(len(x)), x])
+    off = weight * y - columns @ np.linalg.lstsq(columns, weight * y, rcond=None)[0]
+    return np.sum(np.abs(off) ** 2) / (len(x) - 3)
+
+
+def test_counted_by_what_each_tells_sweeps_show_the_residual_over_its_degrees_of_freedom():
+    """Whatever their leverages are; half of it is what the model lacks everywhere."""
+    random = np.random.default_rng(5)
+    y = np.array([1.0, 0.1, 0.1j, 1.0]) + random.normal(size=(len(CROSS), 4, 2)) @ [1e-3, 1e-3j]
+    assert np.isclose(lacking_of(CROSS, y, what_each_tells), 0.5 * residual_variance(CROSS, y), rtol=1e-6)
+
+
+def test_a_sweep_that_holds_a_corner_alone_counts_for_less():
+    """Without it the model extrapolates over ten times the distance; on the safe side it counts in full."""
+    near = 0.1 * np.array([[a, b] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
+    x = np.vstack([near, CORNER])
+    y = (1.0 + 0.01 * x[:, 0] * x[:, 1])[:, None] * np.array([1.0, 0.1, 0.1j, 1.0])
+    assert lacking_of(x, y, what_each_tells) < 0.75 * lacking_of(x, y, all_alike)
 
 
 BLIND = np.transpose(
