@@ -14,6 +14,7 @@ _STATED = (
 )
 _FARTHEST = 100.0  # poles further out than so many times the band are a polynomial, to rounding
 _OFF_AXIS = 1e-12  # poles nearer to the axis than this part of themselves are moved away from it
+_ROUNDED = 1e-15  # part of a product that rounding leaves of a difference
 _SEARCHED = 3  # weight of a pole's place in the BIC: with 1, one fit in 200 takes noise for a mode
 
 
@@ -66,7 +67,11 @@ def weighted(data: DqData, noise_floor: float, part: float | None = None) -> Pro
 
 def trial_at(problem: Problem, poles: np.ndarray, tail: int) -> Trial:
     """The best that can be had with these poles where they are."""
-    cost = solve_residues(problem, poles, tail).cost
+    return trial_of(problem, poles, tail, _least_cost(problem, poles, tail))
+
+
+def trial_of(problem: Problem, poles: np.ndarray, tail: int, cost: float) -> Trial:
+    """A trial whose sum of squares is known."""
     return Trial(poles, tail, cost, bic_of(problem, cost, order_of(poles), tail))
 
 
@@ -103,15 +108,49 @@ class Linear(NamedTuple):
 
 def solve_residues(problem: Problem, poles: np.ndarray, tail: int) -> Linear:
     """Residues, D and E that fit best with these poles: a least squares by QR, one for each element."""
-    phi = basis(problem.s, poles, tail)
-    columns = stacked(phi[None] * problem.weight[:, :, None])
-    norm = np.linalg.norm(columns, axis=1)
-    q, r = np.linalg.qr(columns / norm[:, None, :])
-    target = stacked((problem.y * problem.weight)[:, :, None])[:, :, 0]
+    columns, norm, target = _system(problem, poles, tail)
+    q, r = np.linalg.qr(columns)
     projected = np.einsum("eij,ei->ej", q, target)
     misfit = target - np.einsum("eij,ej->ei", q, projected)
     coefficients = np.linalg.solve(_regular(r), projected[:, :, None])[:, :, 0] / norm
     return Linear(coefficients, misfit, q, r, norm, float(np.sum(misfit**2)))
+
+
+def _least_cost(problem: Problem, poles: np.ndarray, tail: int) -> float:
+    """The cost of `solve_residues` alone: what the last column of the triangular factor has left for itself."""
+    columns, _, target = _system(problem, poles, tail)
+    r = np.linalg.qr(np.concatenate([columns, target[:, :, None]], axis=2), mode="r")
+    return float(np.sum(np.asarray(r)[:, -1, -1] ** 2))
+
+
+def _system(problem: Problem, poles: np.ndarray, tail: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns (4, 2n, c) of length one, their lengths (4, c) before, and the weighted data (4, 2n)."""
+    columns = stacked(basis(problem.s, poles, tail)[None] * problem.weight[:, :, None])
+    norm = np.sqrt(np.einsum("eic,eic->ec", columns, columns))
+    columns /= norm[:, None, :]
+    return columns, norm, stacked((problem.y * problem.weight)[:, :, None])[:, :, 0]
+
+
+def costs_without(problem: Problem, trial: Trial) -> np.ndarray:
+    """(m + tail,) costs with one pole or pair less, or one tail term less, from the one factorisation of all.
+
+    Columns S left out cost x_S^T (C_SS)^-1 x_S more, with the coefficients x and C = (R^T R)^-1.
+    """
+    linear = solve_residues(problem, trial.poles, trial.tail)
+    n_real, n_pair = counts_upper(trial.poles)
+    root, x = np.linalg.inv(_regular(linear.r)), linear.coefficients * linear.norm
+    alone = x**2 / np.einsum("ejc,ejc->ej", root, root)
+    real, imag = np.s_[:, n_real : n_real + n_pair], np.s_[:, n_real + n_pair : n_real + 2 * n_pair]
+    both = _missed_together(root[real], root[imag], x[real], x[imag])
+    more = np.concatenate([alone[:, :n_real], both, alone[:, n_real + 2 * n_pair :]], axis=1)
+    return linear.cost + more.sum(axis=0)
+
+
+def _missed_together(root_1: np.ndarray, root_2: np.ndarray, x_1: np.ndarray, x_2: np.ndarray) -> np.ndarray:
+    """What two columns left out together cost, x^T C^-1 x of each two by two block of C = root root^T."""
+    c_11, c_12, c_22 = (np.einsum("ejc,ejc->ej", *roots) for roots in ((root_1,) * 2, (root_1, root_2), (root_2,) * 2))
+    determinant = np.maximum(c_11 * c_22 - c_12**2, _ROUNDED * c_11 * c_22)
+    return (c_22 * x_1**2 - 2.0 * c_12 * x_1 * x_2 + c_11 * x_2**2) / determinant
 
 
 def _regular(r: np.ndarray) -> np.ndarray:
@@ -194,7 +233,7 @@ def refine(problem: Problem, trial: Trial, n_iterations: int = 10) -> Trial:
         trial, linear, damping = trial._replace(poles=poles), moved, max(damping / 30.0, 1e-12)
         if gain < 1e-7 * linear.cost:
             break
-    return trial._replace(cost=linear.cost, bic=bic_of(problem, linear.cost, order_of(trial.poles), trial.tail))
+    return trial_of(problem, trial.poles, trial.tail, linear.cost)
 
 
 def held(problem: Problem, poles: np.ndarray) -> np.ndarray:

@@ -37,6 +37,7 @@ from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_r
 from .order import (
     drop_faint,
     drop_outliers,
+    is_exact,
     prune,
     select_order,
     settle_far_poles,
@@ -200,10 +201,14 @@ def unheld(model: RationalModel, data: DqData) -> FreePoles:
 def unheld_exactly(model: RationalModel, data: DqData) -> FreePoles | None:
     """The same where the rows are exact; None where they are not.
 
-    A fit that is held may meet exact rows to its floor with poles on the wrong side, or do without a faint one.
+    A fit that is held may meet exact rows to its floor with poles on the wrong side, or do without a faint one: only
+    if it meets them to rounding, its poles are where nothing would hold them.
     """
+    if data.std is not None:
+        return None
     problem = weighted(data, model.noise_floor)._replace(weight=model.weight.T)
-    exact = exact_fit(problem, data)
+    fitted = trial_at(problem, upper_half(model.poles), model.tail)
+    exact = fitted if is_exact(problem, fitted) else exact_fit(problem, data)
     return None if exact is None else FreePoles(exact.poles, pole_std(problem, exact))
 
 

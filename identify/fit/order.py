@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from .dq_data import ELEMENTS
-from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_residues, trial_at
+from .least_squares import (
+    Problem,
+    Trial,
+    costs_without,
+    floor_cost,
+    pole_std,
+    refine,
+    solve_residues,
+    trial_at,
+    trial_of,
+)
 from .partial_fractions import basis, order_of, separated, upper_half
 from .rational import RationalModel
 from .vector_fit import vector_fit
@@ -120,7 +130,7 @@ def _without_row(problem: Problem, trial: Trial, k: int) -> tuple[Problem, Trial
 def prune(problem: Problem, trial: Trial) -> Trial:
     """Take away, one by one, what the data do not pay for: a pole or pair, a tail term, a far pole for a slope."""
     while True:
-        reduced = [trial_at(problem, poles, tail) for poles, tail in _reductions(problem, trial)]
+        reduced = _reductions(problem, trial)
         if not reduced:
             return trial
         candidate = refine(problem, min(reduced, key=lambda t: t.bic))
@@ -129,13 +139,13 @@ def prune(problem: Problem, trial: Trial) -> Trial:
         trial = candidate
 
 
-def _reductions(problem: Problem, trial: Trial) -> list[tuple[np.ndarray, int]]:
-    n = len(trial.poles)
-    found = [(np.delete(trial.poles, k), trial.tail) for k in range(n)]
-    if trial.tail > 0 and n > 0:
-        found.append((trial.poles, trial.tail - 1))
-    far = np.flatnonzero(_is_far(problem, trial.poles) & (trial.tail == 1))
-    return found + [(np.delete(trial.poles, k), 2) for k in far]
+def _reductions(problem: Problem, trial: Trial) -> list[Trial]:
+    n, tail = len(trial.poles), trial.tail
+    costs = costs_without(problem, trial)
+    fewer = [(np.delete(trial.poles, k), tail) for k in range(n)] + [(trial.poles, tail - 1)] * (tail > 0 and n > 0)
+    found = [trial_of(problem, *less, cost) for less, cost in zip(fewer, [*costs[:n], costs[-1]], strict=False)]
+    far = np.flatnonzero(_is_far(problem, trial.poles) & (tail == 1))
+    return found + [trial_at(problem, np.delete(trial.poles, k), 2) for k in far]
 
 
 def thin_out_far(problem: Problem, trial: Trial) -> Trial:
@@ -169,11 +179,11 @@ def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
         doubtful = _doubtful(problem, trial, needed)
         if len(doubtful) == 0:
             break
-        tried = [trial_at(problem, np.delete(trial.poles, k), trial.tail) for k in doubtful]
-        faintest = int(np.argmin([t.cost for t in tried]))
-        without = refine(problem, tried[faintest], n_iterations=30)
+        faintest = doubtful[np.argmin(costs_without(problem, trial)[doubtful])]
+        without = trial_at(problem, np.delete(trial.poles, faintest), trial.tail)
+        without = refine(problem, without, n_iterations=30)
         if _relative_misfit(problem, without) > _FAINT:
-            needed = np.append(needed, trial.poles[doubtful[faintest]])
+            needed = np.append(needed, trial.poles[faintest])
         else:
             trial = without
     n_left_out = n_before - order_of(trial.poles)
@@ -184,15 +194,23 @@ def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
 
 
 def met_exactly(problem: Problem, trial: Trial) -> Trial | None:
-    """The trial continued to rounding, where it meets the rows so with half as many parameters as they have numbers.
+    """The trial continued to rounding, where it meets the rows so.
 
     Errors of a sweep may be smooth enough for a fit to meet them to its floor; to rounding none does.
     """
-    parameters = order_of(trial.poles) + ELEMENTS * (order_of(trial.poles) + trial.tail)
-    if trial.cost > floor_cost(problem) or parameters > problem.y.size:
+    if trial.cost > floor_cost(problem) or not _is_modest(problem, trial):
         return None
     exact = refine(to_rounding(problem), trial)
-    return trial_at(problem, exact.poles, exact.tail) if exact.cost < floor_cost(to_rounding(problem)) else None
+    return trial_at(problem, exact.poles, exact.tail) if is_exact(problem, exact) else None
+
+
+def is_exact(problem: Problem, trial: Trial) -> bool:
+    """Whether the trial meets the rows to rounding with half as many parameters as they have numbers."""
+    return trial.cost < floor_cost(to_rounding(problem)) and _is_modest(problem, trial)
+
+
+def _is_modest(problem: Problem, trial: Trial) -> bool:
+    return order_of(trial.poles) + ELEMENTS * (order_of(trial.poles) + trial.tail) <= problem.y.size
 
 
 def to_rounding(problem: Problem) -> Problem:

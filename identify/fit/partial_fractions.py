@@ -13,12 +13,16 @@ _NEAR = 1e-3  # poles closer than this, relatively, count as coinciding
 
 def basis(s: np.ndarray, poles: np.ndarray, tail: int) -> np.ndarray:
     """(n, order + tail) real-coefficient partial fractions, then the constant, then s."""
-    n_real, _ = counts_upper(poles)
-    upper = 1.0 / (s[:, None] - poles)
-    lower = 1.0 / (s[:, None] - poles[n_real:].conj())
-    pairs = upper[:, n_real:]
-    powers = s[:, None] ** np.arange(tail)
-    return np.concatenate([upper[:, :n_real], pairs + lower, 1j * (pairs - lower), powers], axis=1)
+    n_real, n_pair = counts_upper(poles)
+    m = n_real + 2 * n_pair
+    pairs = poles[n_real:]
+    half = 2.0 / ((s[:, None] - pairs) * (s[:, None] - pairs.conj()))
+    functions = np.empty((len(s), m + tail), dtype=complex)
+    functions[:, :n_real] = 1.0 / (s[:, None] - poles[:n_real])
+    functions[:, n_real : n_real + n_pair] = (s[:, None] - pairs.real) * half
+    functions[:, n_real + n_pair : m] = -pairs.imag * half
+    functions[:, m:] = s[:, None] ** np.arange(tail)
+    return functions
 
 
 def parts(n_real: int, n_pair: int, tail: int, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,22 +47,23 @@ def upper_half(poles: np.ndarray) -> np.ndarray:
 
 def separated(poles: np.ndarray) -> np.ndarray:
     """A pair meeting on the real axis becomes two real poles, two equal real poles a pair: no residue explodes."""
-    real = np.sort(poles[poles.imag == 0.0].real)
-    pairs = poles[poles.imag != 0.0]
+    is_real = poles.imag == 0.0
+    real, pairs = np.sort(poles[is_real].real), poles[~is_real]
     meeting = np.abs(pairs.imag) < _NEAR * np.abs(pairs)
-    apart = np.abs(pairs[meeting]) * _NEAR
     close = np.flatnonzero(np.diff(real) < _NEAR * np.abs(real[1:]))[:1]
+    if not len(close) and not np.any(meeting):
+        return np.concatenate([real + 0j, pairs.real + 1j * np.abs(pairs.imag)])
+    apart, met = np.abs(pairs[meeting]) * _NEAR, pairs[meeting].real
     middle = (real[close] + real[close + 1]) / 2.0
     kept = np.delete(real, np.concatenate([close, close + 1]))
     pairs = np.concatenate([pairs[~meeting], middle + 2j * _NEAR * np.abs(middle)])
-    met = poles[poles.imag != 0.0][meeting].real
     real = np.concatenate([kept, met - apart, met + apart])
     return np.concatenate([real + 0j, pairs.real + 1j * np.abs(pairs.imag)])
 
 
 def counts_upper(poles: np.ndarray) -> tuple[int, int]:
     """Numbers of real poles and of pairs, from the real poles and the upper halves."""
-    n_real = int(np.sum(poles.imag == 0.0))
+    n_real = int(np.count_nonzero(poles.imag == 0.0))
     return n_real, len(poles) - n_real
 
 

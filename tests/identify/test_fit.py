@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.fit.dq_data import to_dq
-from seqsweep.identify.fit.least_squares import held, weighted
+from seqsweep.identify.fit.least_squares import costs_without, held, solve_residues, trial_at, weighted
 from seqsweep.identify.fit.model import MIN_POINTS, fit_response
 from seqsweep.identify.fit.partial_fractions import basis
 from seqsweep.identify.fit.rational import RationalModel, derivative, evaluate, evaluate_pn, gradient
@@ -233,3 +233,17 @@ def test_a_pole_at_the_frequency_of_a_row_is_moved_off_the_axis() -> None:
     assert moved.real < 0.0
     assert moved == pytest.approx(problem.s[3:4], rel=1e-11)
     assert np.all(np.isfinite(basis(problem.s, moved, 1)))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_what_a_pole_or_the_constant_is_worth_is_what_a_fit_without_it_costs(noise: float) -> None:
+    response = turbine(noise=noise)
+    model = fit_response(response)
+    problem = weighted(to_dq(response), 1e-6)
+    poles = model.poles[model.poles.imag >= 0.0]
+    trial = trial_at(problem, poles, 2)
+    without = [trial_at(problem, np.delete(poles, k), 2).cost for k in range(len(poles))]
+    costs = costs_without(problem, trial)
+    np.testing.assert_allclose(costs[: len(poles)], without, rtol=1e-6)
+    assert costs[-1] == pytest.approx(trial_at(problem, poles, 1).cost, rel=1e-6)
+    assert trial.cost == pytest.approx(solve_residues(problem, poles, 2).cost, rel=1e-6)
