@@ -140,10 +140,10 @@ def prune(problem: Problem, trial: Trial) -> Trial:
 
 
 def _reductions(problem: Problem, trial: Trial) -> list[Trial]:
-    n, tail = len(trial.poles), trial.tail
-    costs = costs_without(problem, trial)
-    fewer = [(np.delete(trial.poles, k), tail) for k in range(n)] + [(trial.poles, tail - 1)] * (tail > 0 and n > 0)
-    found = [trial_of(problem, *less, cost) for less, cost in zip(fewer, [*costs[:n], costs[-1]], strict=False)]
+    n, tail, costs = len(trial.poles), trial.tail, costs_without(problem, trial)
+    found = [trial_of(problem, np.delete(trial.poles, k), tail, float(costs[k])) for k in range(n)]
+    if tail > 0 and n > 0:
+        found.append(trial_of(problem, trial.poles, tail - 1, float(costs[-1])))
     far = np.flatnonzero(_is_far(problem, trial.poles) & (tail == 1))
     return found + [trial_at(problem, np.delete(trial.poles, k), 2) for k in far]
 
