@@ -119,8 +119,11 @@ def _without_row(problem: Problem, trial: Trial, k: int) -> tuple[Problem, Trial
     """Pole k and the row next to it left out; whether the other rows do not miss the pole, and the row stands apart."""
     row = int(np.argmin(np.abs(problem.s.imag - trial.poles[k].imag)))
     rest = without_rows(problem, np.array([row]))
-    with_pole = refine(rest, trial_at(rest, trial.poles, trial.tail))
+    with_pole = trial_at(rest, trial.poles, trial.tail)
     without = refine(rest, trial_at(rest, np.delete(trial.poles, k), trial.tail))
+    if without.bic >= with_pole.bic:
+        return rest, without, False
+    with_pole = refine(rest, with_pole)
     coefficients = solve_residues(rest, without.poles, without.tail).coefficients
     expected = coefficients @ basis(problem.s[row : row + 1], without.poles, without.tail)[0]
     apart = np.linalg.norm(problem.y[:, row] - expected) > _FAINT * np.linalg.norm(problem.y[:, row])
