@@ -39,7 +39,8 @@ evidence: $(READY)
 	@failed=0; set -x; \
 	$(BIN)/python -m pytest -n 2 -m evidence || failed=1; \
 	$(BIN)/python benchmarks/verdicts.py --tables 3500 --swept 0.6 --calibration 2000 --jobs 2 --write --check || failed=1; \
-	$(BIN)/python benchmarks/surrogate.py --designs 200 --covered 200 --pairs 1000 --grids 100 --searches 20 --rivals 20 --jobs 2 --write --check || failed=1; \
+	$(BIN)/python benchmarks/surrogate.py --designs 200 --covered 200 --pairs 1000 --grids 100 --searches 20 --placements 50 \
+	  --runs 1 --campaigns 1 --rivals 1 --jobs 2 --write --check || failed=1; \
 	exit $$failed
 
 bench: $(READY)
