@@ -40,6 +40,7 @@ _RC: dict[Any, Any] = {
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
 }
+_DPI = 200
 _WITHOUT_TIME: dict[str, dict[str, Any]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None, "Creator": None},
@@ -64,10 +65,14 @@ def write_figure(path: str | Path, make: Callable[[], Figure]) -> None:
     """
     suffix = checked_suffix(path)
     import matplotlib
+    from matplotlib.backend_bases import get_registered_canvas_class
 
     drawn = BytesIO()  # a writer of PDF that meets a full disk half-way hides it behind errors of its own
     with matplotlib.rc_context(_RC):
-        make().savefig(drawn, format=suffix[1:], dpi=200, metadata=_WITHOUT_TIME[suffix])
+        figure = make()
+        figure.set_dpi(_DPI)
+        canvas = get_registered_canvas_class(suffix[1:])(figure)
+        getattr(canvas, f"print_{suffix[1:]}")(drawn, metadata=_WITHOUT_TIME[suffix])  # savefig draws twice
     with atomic_file(path) as file:
         file.write(drawn.getbuffer())
 
@@ -95,14 +100,18 @@ def opened_figure(height_in: float) -> Figure:
     """`new_figure` for a notebook: one that it shows."""
     import matplotlib.pyplot as plt
 
-    return plt.figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    from .layout import Layout
+
+    return plt.figure(figsize=(WIDTH_IN, height_in), layout=Layout())
 
 
 def new_figure(height_in: float) -> Figure:
     """An empty figure of the common width."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    from .layout import Layout
+
+    return Figure(figsize=(WIDTH_IN, height_in), layout=Layout())
 
 
 def grid_lines(axes: Axes) -> None:
