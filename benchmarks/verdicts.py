@@ -113,7 +113,7 @@ def report(asked: argparse.Namespace, tables: list[list[Case]], near: list[calib
             f"| bins of the stated probability that hold | {len(near):,} | {held} of {len(parts)} | all | "
             f"{'met' if held == len(parts) else '**missed**'} |"
         )
-    lines += ["", score.conditions(cases)]
+    lines += ["", score.certain_shares(cases), "", score.conditions(cases)]
     if parts:
         lines += ["", calibration.table(parts)]
     return "\n".join(lines), all(bar.met for bar in bars) and all(b.held for b in parts)

@@ -235,7 +235,7 @@ def _judged(
         f_r_hz=gain.f_r_hz,
         margin_m_predicted=gain.margin_m,
         no_k=_no_k(gain),
-        warnings=(*warnings, *model.notes, *_gain_warnings(stability, ends, gain)),
+        warnings=(*warnings, *model.notes, *stability.remarks, *_gain_warnings(stability, ends, gain)),
         grid=grid,
         response=response,
     )

@@ -19,6 +19,7 @@ from .poles import LIGHT, ClosedLoop, closed_loop, crowded
 from .probability import doubt
 from .rows import Rows, wind_rows
 from .siso import Grid, check_fundamental, impedance_pn, siso
+from .uncovered import Seen, stated, uncovered
 from .unseen import unseen
 from .winding import Winding, about, refine_locus, wind
 
@@ -39,7 +40,7 @@ class Stability:
     probability : float
         Probability that the loop is stable: how many standard errors the locus keeps from zero inside the band, or how
         surely a slow mode of the device's own decays, times the probability that no mode which the rows do not exclude
-        changes that.
+        changes that; never certain where the rows do not cover the question.
     winding : Winding
         The locus.
     n_open_loop_unstable : int
@@ -58,6 +59,8 @@ class Stability:
         Where and why it disagrees with the winding number; empty where it does not.
     extrapolation : str
         The part of the answer that rests on the fit outside the swept band.
+    uncovered : str
+        Why a verdict is not certain however small the errors, and what to measure; empty where nothing is missing.
     """
 
     verdict: Decision
@@ -72,6 +75,13 @@ class Stability:
     bode_stable: bool
     bode_note: str
     extrapolation: str
+    uncovered: str = ""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the reader should know of the verdict besides its reason."""
+        why = self.uncovered
+        return (f"{self.verdict}, but not certain, however small the errors: {why}",) if why else ()
 
 
 def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: Anchor | None = None) -> Stability:
@@ -101,16 +111,19 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     doubtful = doubt(model, grid, loop, winding.nu_hz, stable)
     by_rows = None if rows is None else _own_modes(model, anchor) - wind_rows(rows, grid, model, loop.hole).number
     seen_on = () if anchor is None or anchor.grid is None else (anchor.grid,)
-    hidden = None
-    if stable and rows is not None:
-        hidden = unseen(model, rows.data, (grid, *seen_on), crowded(model, loop.hole))
+    hidden, why = None, ""
+    if rows is not None:
+        filled = crowded(model, loop.hole)
+        hidden = unseen(model, rows.data, (grid, *seen_on), filled) if stable else None
+        why = uncovered(Seen(model, loop, rows, (grid, *seen_on), by_rows, filled), stable)
     still_open = anchor.still_open if stable and anchor is not None else None
     ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
+    probability = min(doubtful.probability, 1.0 if still_open is None else still_open.decays)
+    probability *= 1.0 if hidden is None else hidden.harmless
     return Stability(
         verdict=ruling.verdict,
         reason=ruling.reason,
-        probability=min(doubtful.probability, 1.0 if still_open is None else still_open.decays)
-        * (1.0 if hidden is None else hidden.harmless),
+        probability=stated(probability, why),
         winding=winding,
         n_open_loop_unstable=model.n_unstable,
         n_unstable_by_rows=by_rows,
@@ -120,6 +133,7 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
         bode_stable=all(c.m >= 1.0 for c in crossings),
         bode_note=_bode_note(model, grid, crossings, stable),
         extrapolation=_extrapolation(model, winding),
+        uncovered="" if ruling.verdict == "undecided" else why,
     )
 
 

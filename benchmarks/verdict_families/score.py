@@ -269,6 +269,20 @@ def _percent(some: Sequence[Case], is_so: Callable[[Case], bool]) -> str:
     return f"{100.0 * np.mean([is_so(c) for c in some]):.1f} %" if some else "-"
 
 
+def certain_shares(cases: Sequence[Case]) -> str:
+    """How many of the verdicts that were given are stated as certain, in a sentence."""
+    given = [c for c in cases if not undecided(c)]
+    covered = [c for c in given if c.truth.covered]
+    return (
+        f"Of {len(given):,} verdicts given {_percent(given, _is_certain)} are stated as certain, of the "
+        f"{len(covered):,} whose rows cover the question {_percent(covered, _is_certain)}."
+    )
+
+
+def _is_certain(case: Case) -> bool:
+    return case.certain
+
+
 def seconds(cases: Sequence[Case]) -> str:
     """CPU time of a verdict."""
     if not cases:

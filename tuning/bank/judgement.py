@@ -133,7 +133,7 @@ def _judged(
         elements=element_edges(model, member, loop.n_unstable == 0) if elements else (),
         missing_hz=_missing(member, loop, stability),
         parameters=entry.parameters,
-        warnings=(*notes, *grid_warnings(device.response.meta, bases, member)),
+        warnings=(*notes, *stability.remarks, *grid_warnings(device.response.meta, bases, member)),
     )
     return replace(found, **whole)
 

@@ -1,0 +1,99 @@
+"""A verdict is certain only where the rows cover the question: what they do not show has no standard error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seqsweep.identify.frames import dq_to_pn
+from seqsweep.identify.response import FrequencyResponse
+from seqsweep.tuning.probability import DECIDED
+from seqsweep.tuning.result import PointTuning
+from seqsweep.tuning.siso import SeriesRL
+from seqsweep.tuning.text import CERTAIN
+from seqsweep.tuning.tune import tune_point
+from seqsweep.tuning.uncovered import ALLOWANCE, stated
+
+F1_HZ = 50.0
+MODE = -3.0 + 2j * np.pi * 160.0
+RESIDUE = np.exp(2.2j) * np.array([[0.5, 0.5j], [-0.5j, 0.5]])
+"""Of a mode that couples to one sequence."""
+GRID = SeriesRL(0.02, 0.3, F1_HZ)
+ALL = np.geomspace(0.5, 1500.0, 120)
+
+
+def device(nu_hz: np.ndarray, size: float) -> np.ndarray:
+    """An inductive device that is a little active, with a narrow mode at 160 Hz (dq): (n, 2, 2) in S."""
+    s = 2j * np.pi * nu_hz[:, None, None]
+    base = np.array([[2.0, -1.0], [1.0, -0.05]]) / (1.0 + s / 300.0)
+    above = np.eye(2) * 0.4 * s / (s + 4000.0) / (1.0 + s / 1e5)
+    mode = RESIDUE / (s - MODE) + RESIDUE.conj() / (s - MODE.conjugate())
+    return base + above + size * mode
+
+
+def judged(nu_hz: np.ndarray, size: float, noise: float = 1e-4, seed: int = 0) -> PointTuning:
+    """The verdict from rows above f1 with white noise of known covariance; the device rests on an ideal source."""
+    rng = np.random.default_rng(seed)
+    y = device(nu_hz, size)
+    std = noise * np.linalg.norm(y, axis=(1, 2)) / 2.0
+    y = y + std[:, None, None] * (rng.normal(size=y.shape) + 1j * rng.normal(size=y.shape)) / np.sqrt(2.0)
+    meta = {"op_id": "a", "stable_on": {"grid": "ideal", "growth_bound_per_s": 0.7, "disturbed_s": 10.0}}
+    response = FrequencyResponse(
+        F1_HZ + nu_hz, dq_to_pn(y), F1_HZ, covariance=std[:, None, None] ** 2 / 2.0 * np.eye(8), meta=meta
+    )
+    return tune_point(response, GRID)
+
+
+def unstable_poles(size: float) -> int:
+    """By counting the turns of det(1 + Y Z) on a locus of half a million points, the device itself being stable."""
+    nu = np.unique(np.concatenate([np.linspace(0.0, 400.0, 500001), np.geomspace(400.0, 1e8, 4000)]))
+    locus = np.linalg.det(np.eye(2) + device(nu, size) @ GRID.impedance_dq(2j * np.pi * nu))
+    return -round(float(np.sum(np.angle(locus[1:] / locus[:-1]))) / np.pi)
+
+
+def is_certain(point: PointTuning) -> bool:
+    assert point.probability is not None
+    return point.verdict != "undecided" and not 1.0 - CERTAIN < point.probability < CERTAIN
+
+
+@pytest.mark.parametrize("size", [5.0, 20.0, 60.0])
+def test_a_mode_beyond_a_band_cut_short_is_never_overruled_with_certainty(size: float) -> None:
+    """Up to 66 Hz nothing shows the mode at 160 Hz, and the device is a little active where the rows end."""
+    assert unstable_poles(size) == 2
+    for seed in range(3):
+        short = judged(ALL[ALL < 66.0], size, seed=seed)
+        assert not is_certain(short)
+        assert short.stability is not None
+        assert "sweep to higher frequencies" in short.stability.uncovered
+    whole = judged(ALL, size)
+    assert whole.verdict == "unstable"
+    assert is_certain(whole)
+
+
+def test_rows_that_cover_the_question_keep_their_certainty() -> None:
+    assert unstable_poles(1.0) == 0
+    point = judged(ALL, 1.0)
+    assert point.verdict == "stable"
+    assert is_certain(point)
+    assert not any("not certain" in text for text in point.warnings)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (ALL[ALL > 8.0], "the lowest |f - f1| in the table is 8.44 Hz"),
+        (ALL[(ALL < 20.0) | (ALL > 200.0)], "there are no rows between"),
+        (np.geomspace(0.5, 1500.0, 14), "there are no rows between"),
+    ],
+)
+def test_what_is_missing_is_said_once_and_the_verdict_stays(rows: np.ndarray, words: str) -> None:
+    point = judged(rows, 0.0, noise=1e-6)
+    assert (point.verdict, is_certain(point)) == ("stable", False)
+    (said,) = [text for text in point.warnings if "not certain" in text]
+    assert words in said
+
+
+def test_the_allowance_takes_certainty_and_no_verdict() -> None:
+    assert [stated(p, "why") for p in (0.0, 0.3, 1.0)] == [ALLOWANCE, 0.3, 1.0 - ALLOWANCE]
+    assert [stated(p, "") for p in (0.0, 0.3, 1.0)] == [0.0, 0.3, 1.0]
+    assert 1.0 - CERTAIN < ALLOWANCE < 1.0 - DECIDED

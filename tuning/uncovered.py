@@ -1,0 +1,161 @@
+"""What the rows themselves do not show, so that no verdict from them is certain, however small the errors of the fit.
+
+A probability from standard errors speaks of the modes that the fit has. A mode of the device beyond the end of the
+band, in a wide gap of the rows or around f1 has no standard error. Where the rows cover the question nothing of this
+kind can change the verdict; where they do not, `ALLOWANCE` is kept for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identify.fit.rational import RationalModel, evaluate
+from .feeding import ACTIVE, LOUD, activity
+from .poles import ClosedLoop, is_swept
+from .rows import Rows
+from .siso import Grid
+from .unseen import DENSE
+
+ALLOWANCE = 0.005
+"""How likely a verdict is wrong for what its rows cannot show: a judgement. Counted: 18 of 2,494 verdicts on tables
+that do not cover the question, all but one for modes that no row shows at all (docs/how-often-wrong.md)."""
+
+_QUIET = 0.2  # loop gain below which an active device makes no loop oscillate, whatever its phase, with some to spare
+_NEAR_HZ = 2.0  # rows that begin no further from f1 leave room for slow modes only, which the fit follows
+_FAR_HZ = 5.0  # rows that begin further away leave room for the loops of power, synchronisation and voltage
+_REACH_HZ = 500.0  # below this a converter's control and filter have modes, whatever it is where the rows end
+_SPARE = 3  # rows for each pole from which on a fit would need a further one for what a gap hides
+_SURELY = 4.0  # standard errors of its real part from which on an unstable mode is there
+_BETWEEN = np.linspace(0.0, 1.0, 9)  # places in a gap
+
+
+class Seen(NamedTuple):
+    """What a verdict rests on.
+
+    Attributes
+    ----------
+    model, loop : RationalModel, ClosedLoop
+        The fit, and its poles on the grid that is judged.
+    rows : Rows
+        The rows.
+    grids : sequence of Grid
+        That grid and, if there is one, the grid on which the device was seen to be stable.
+    by_rows : int or None
+        Unstable modes as the rows count them.
+    crowded : (n,) bool
+        Gaps of the rows, each below its row, that hold several modes of the device.
+    """
+
+    model: RationalModel
+    loop: ClosedLoop
+    rows: Rows
+    grids: Sequence[Grid]
+    by_rows: int | None
+    crowded: np.ndarray
+
+
+def uncovered(seen: Seen, stable: bool) -> str:
+    """Why rows do not cover the question, and what to measure; empty where they do.
+
+    A stable verdict may be wrong wherever a mode can hide. An unstable one is proven by a mode that surely grows and
+    that rows surround.
+    """
+    questions = (_ends_early, _begins_far, _leaves_gaps, _tells_no_more) if stable else (_is_vague,)
+    return next((why for why in (ask(seen) for ask in (*questions, _is_counted_twice)) if why), "")
+
+
+def stated(probability: float, why: str) -> float:
+    """The probability of being stable as it is stated where rows do not cover the question for the reason ``why``."""
+    return float(np.clip(probability, ALLOWANCE, 1.0 - ALLOWANCE)) if why else probability
+
+
+def _ends_early(seen: Seen) -> str:
+    """Above the band a loop whose gain is not small may do anything, unless the band is long and the device passive."""
+    end = float(seen.model.nu_hz[-1])
+    last = seen.rows.data.nu_hz >= end / DENSE
+    nu_hz, y = seen.rows.data.nu_hz[last], seen.rows.data.y[last]
+    fitted = evaluate(seen.model, 2j * np.pi * nu_hz)
+    passive = np.maximum(activity(y), activity(fitted)) < -ACTIVE
+    loud = _gain(seen, nu_hz, fitted) > _QUIET
+    if not np.any(loud & (~passive | (end < _REACH_HZ))):
+        return ""
+    what = "is not clearly passive" if np.any(loud & ~passive) else "may become active further out"
+    return (
+        f"the sweep ends at |f - f1| = {end:.4g} Hz, where the loop gain is above {_QUIET:g} and the device {what}: "
+        "sweep to higher frequencies"
+    )
+
+
+def _begins_far(seen: Seen) -> str:
+    """Around f1 slow modes are followed by the fit; the loops of a converter are not."""
+    lowest = float(seen.model.nu_hz[0])
+    hole = np.linspace(0.0, lowest, len(_BETWEEN))
+    loud = bool(np.any(_gain(seen, hole, evaluate(seen.model, 2j * np.pi * hole)) > LOUD))
+    if lowest <= _NEAR_HZ or (lowest <= _FAR_HZ and not loud):
+        return ""
+    return f"the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
+
+
+def _leaves_gaps(seen: Seen) -> str:
+    """Between rows further apart than the modes around them are wide, where the loop may be fed."""
+    nu = seen.model.nu_hz
+    for k in np.flatnonzero(nu[1:] > DENSE * nu[:-1]):
+        low, high = float(nu[k]), float(nu[k + 1])
+        if _may_feed(seen, low, high, bool(seen.crowded[k + 1])):
+            between = f"{seen.model.f1_hz + low:.4g} and {seen.model.f1_hz + high:.4g} Hz"
+            return f"there are no rows between {between} (mirror images count): sweep there"
+    return ""
+
+
+def _may_feed(seen: Seen, low_hz: float, high_hz: float, crowded: bool) -> bool:
+    """Whether a mode could hide between two rows that feeds an oscillation.
+
+    Where rows are many beside the poles of the fit, only where the loop gain is not small, nor the gap narrower than
+    the modes around it are wide.
+    """
+    model = seen.model
+    at = low_hz + (high_hz - low_hz) * _BETWEEN
+    y = evaluate(model, 2j * np.pi * at)
+    gain = _gain(seen, at, y)
+    loud, fed = np.any(gain > LOUD), np.any((activity(y) > -ACTIVE) & (gain > _QUIET))
+    if crowded or len(model.nu_hz) < _SPARE * model.order:
+        return bool(loud or fed)
+    modes = np.concatenate([model.poles, seen.loop.poles])
+    width_hz = np.abs(1j * np.pi * (low_hz + high_hz) - modes).min() / (2.0 * np.pi)
+    return bool(loud and high_hz - low_hz > width_hz)
+
+
+def _tells_no_more(seen: Seen) -> str:
+    """A fit of as many poles as the rows tell apart may have too few."""
+    n, order = len(seen.model.nu_hz), seen.model.order
+    if order + 2 <= (n - 1) // 2:
+        return ""
+    return f"{n} rows tell no more than {(n - 1) // 2} poles apart, and the fit takes {order}: sweep more points"
+
+
+def _is_vague(seen: Seen) -> str:
+    """No unstable mode that rows surround surely grows."""
+    loop = seen.loop
+    surely = (loop.poles.real > _SURELY * loop.std.real) & ~loop.beyond
+    if any(is_swept(seen.model, complex(pole)) for pole in loop.poles[surely]):
+        return ""
+    return "no rows surround an unstable mode that surely grows: sweep more points around it"
+
+
+def _is_counted_twice(seen: Seen) -> str:
+    """Rows and fit count differently, though errors of the rows explain it."""
+    if seen.by_rows is None or seen.by_rows == seen.loop.n_unstable:
+        return ""
+    return (
+        f"the rows, followed from one to the next, count {seen.by_rows} unstable modes, the fit "
+        f"{seen.loop.n_unstable}, which their errors explain: sweep more points, or more periods"
+    )
+
+
+def _gain(seen: Seen, nu_hz: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Largest loop gain (n,) at |f - f1| on any of the grids."""
+    s = 2j * np.pi * nu_hz
+    return np.max([np.abs(np.linalg.eigvals(y @ grid.impedance_dq(s))).max(axis=1) for grid in seen.grids], axis=0)
