@@ -14,7 +14,7 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate
 from .feeding import ACTIVE, LOUD, activity
-from .poles import ClosedLoop, is_swept
+from .poles import ClosedLoop, is_swept, mode_weight
 from .rows import Rows
 from .siso import Grid
 from .unseen import DENSE
@@ -28,6 +28,7 @@ _NEAR_HZ = 2.0  # rows that begin no further from f1 leave room for slow modes o
 _FAR_HZ = 5.0  # rows that begin further away leave room for the loops of power, synchronisation and voltage
 _REACH_HZ = 500.0  # below this a converter's control and filter have modes, whatever it is where the rows end
 _SPARE = 3  # rows for each pole from which on a fit would need a further one for what a gap hides
+_KEPT = 3e-3  # part of itself by which Y of a device may differ on another grid, as that of a sampled one does
 _SURELY = 4.0  # standard errors of its real part from which on an unstable mode is there
 _BETWEEN = np.linspace(0.0, 1.0, 9)  # places in a gap
 
@@ -60,10 +61,10 @@ class Seen(NamedTuple):
 def uncovered(seen: Seen, stable: bool) -> str:
     """Why rows do not cover the question, and what to measure; empty where they do.
 
-    A stable verdict may be wrong wherever a mode can hide. An unstable one is proven by a mode that surely grows and
-    that rows surround.
+    A stable verdict may be wrong wherever a mode can hide, and next to the edge. An unstable one is proven by a mode
+    that surely grows and that rows surround.
     """
-    questions = (_ends_early, _begins_far, _leaves_gaps, _tells_no_more) if stable else (_is_vague,)
+    questions = (_ends_early, _begins_far, _leaves_gaps, _tells_no_more, _is_near) if stable else (_is_vague,)
     return next((why for why in (ask(seen) for ask in (*questions, _is_counted_twice)) if why), "")
 
 
@@ -136,13 +137,34 @@ def _tells_no_more(seen: Seen) -> str:
     return f"{n} rows tell no more than {(n - 1) // 2} poles apart, and the fit takes {order}: sweep more points"
 
 
+def _is_near(seen: Seen) -> str:
+    """So near to the edge that what Y of a device keeps from one grid to another decides."""
+    model, grid = seen.model, seen.grids[0]
+    modes_hz = np.abs(seen.loop.poles.imag) / (2.0 * np.pi)
+    nu_hz = np.concatenate([model.nu_hz, modes_hz[(modes_hz > model.nu_hz[0]) & (modes_hz < model.nu_hz[-1])]])
+    s = 2j * np.pi * nu_hz
+    y, z = evaluate(model, s), grid.impedance_dq(s)
+    shown = np.linalg.norm(z @ np.linalg.inv(np.eye(2) + y @ z), 2, axis=(1, 2))  # |(Y + Yg)^-1|
+    nearness = shown * np.linalg.norm(y, 2, axis=(1, 2))
+    nearest = int(np.argmax(nearness))
+    if nearness[nearest] * _KEPT < 1.0:
+        return ""
+    place = f"{model.f1_hz - nu_hz[nearest]:.4g}/{model.f1_hz + nu_hz[nearest]:.4g} Hz"
+    return f"a change of Y by {1.0 / nearness[nearest]:.1g} of itself at {place} decides: sweep it on this very grid"
+
+
 def _is_vague(seen: Seen) -> str:
     """No unstable mode that rows surround surely grows."""
     loop = seen.loop
-    surely = (loop.poles.real > _SURELY * loop.std.real) & ~loop.beyond
-    if any(is_swept(seen.model, complex(pole)) for pole in loop.poles[surely]):
+    surely = np.flatnonzero((loop.poles.real > _SURELY * loop.std.real) & ~loop.beyond)
+    poles = loop.poles[[k for k in surely if is_swept(seen.model, complex(loop.poles[k]))]]
+    if not len(poles):
+        return "no rows surround an unstable mode that surely grows: sweep more points around it"
+    weight = np.linalg.norm(mode_weight(seen.model, seen.grids[0], poles), axis=(1, 2))
+    moved = _KEPT * weight * np.linalg.norm(evaluate(seen.model, 1j * poles.imag), 2, axis=(1, 2))
+    if np.any(poles.real > moved):
         return ""
-    return "no rows surround an unstable mode that surely grows: sweep more points around it"
+    return f"a change of Y by less than {_KEPT:.1%} of itself stops the growth: sweep it on this very grid"
 
 
 def _is_counted_twice(seen: Seen) -> str:
