@@ -2,23 +2,26 @@
 
     python benchmarks/hundred_thousand.py [--quick]
 
-Memory: the whole command at a few numbers of operating points with four frequencies each; what each further operating
-point costs is their slope. Time and disk: some operating points with all 100 frequencies, measured together as a
-worker does; their results stand for those of many more, which are kept as shards and assembled into a table.
+Memory: whole campaigns of four frequencies, from the file to the table, in which the results of a few operating points
+are handed out again and again in place of measuring; what each further operating point costs is their slope. Without
+--quick the last of them has all 100,000. Time and disk: some operating points with all 100 frequencies, measured
+together as a worker does; their results stand for those of many more, which are kept as shards, packed and assembled
+into a table.
 """
 
 from __future__ import annotations
 
+import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Report, command, fresh, peak_memory_mb, planned, run_script
+from harness import Report, fresh, peak_memory_mb, planned, run_script
 from thousand import campaign_text
 
 OPERATING_POINTS, POINTS = 100_000, 100
@@ -26,85 +29,114 @@ WORKERS = 2
 TOGETHER = 16
 """Operating points that a worker measures together."""
 
+LOOSE = 256
+"""Shards that are not packed yet, at most."""
+
 
 def measure(quick: bool) -> Report:
     """What a part costs, and what the whole will."""
-    # more rows than a group of the table has: the writer fills its room
-    sizes = (2500, 5000) if quick else (2500, 5000, 10000)
+    # more rows than several groups of the table have: the writer fills its room
+    sizes = (8000, 24000) if quick else (8000, 24000, OPERATING_POINTS)
     report = Report(f"{OPERATING_POINTS} operating points x {POINTS} frequencies: measured in part, predicted")
-    memory_mb = [_memory_mb(n) for n in sizes]
+    memory_mb = [fresh(__file__, n_assembled=n, played=True)["memory_mb"] for n in sizes]
     for n, mb in zip(sizes, memory_mb, strict=True):
-        report.add(f"peak memory of `run`, {n} operating points x 4 frequencies", mb, "MB")
+        report.add(f"peak memory, {n} operating points x 4 frequencies", mb, "MB")
+    report.add("memory of a further operating point", 1e3 * np.polyfit(sizes, memory_mb, 1)[0], "kB")
     slope, start = np.polyfit(sizes, memory_mb, 1)
-    kept = [fresh(__file__, n_assembled=n) for n in ((200, 800) if quick else (500, 4000))]
+    kept = [fresh(__file__, n_assembled=n) for n in ((300, 900) if quick else (500, 4000))]
     each = kept[-1]
     report.add("CPU time to measure an operating point", each["measure_s"], "s")
     for found in kept:
         n = found["operating_points"]
         report.add(f"assembling {n} operating points, each", 1e3 * found["assemble_s"], "ms")
         report.add(f"peak memory of assembling {n} operating points", found["memory_mb"], "MB")
-    report.add("shard of an operating point", each["shard_kb"], "kB")
+    report.add("shard of an operating point, before it is packed", each["loose_kb"], "kB")
+    report.add("shard of an operating point, packed", each["packed_kb"], "kB")
+    report.add("metadata of an operating point, in the foot of the table", each["foot_b"], "B")
     report.add("table, per operating point", each["table_kb"], "kB")
     whole = OPERATING_POINTS
     report.add(
         "predicted: wall time, two workers", whole * (each["measure_s"] / WORKERS + each["assemble_s"]) / 3600, "h"
     )
     report.add("predicted: peak memory", start + slope * whole, "MB")
-    report.add("predicted: shards on the disk until the table is written", whole * each["shard_kb"] / 1e6, "GB")
+    at_most = (whole * each["packed_kb"] + LOOSE * each["loose_kb"]) / 1e6
+    report.add("predicted: shards on the disk until the table is written, at most", at_most, "GB")
     report.add("predicted: the table", whole * each["table_kb"] / 1e6, "GB")
     return report
 
 
-def _memory_mb(n: int) -> float:
-    """Peak memory (MB) of the whole command with so many operating points."""
+def child(n_assembled: int, played: bool = False) -> dict[str, Any]:
+    """Peak memory of a campaign whose results are handed out, or the cost of an operating point, part by part."""
     with tempfile.TemporaryDirectory() as folder:
-        campaign = Path(folder) / "campaign.toml"
-        campaign.write_text(campaign_text(n, 4).replace("f_min_hz = 1.0", "f_min_hz = 200.0"), "utf-8")
-        return command(["run", str(campaign), "-o", str(Path(folder) / "y.parquet"), "--jobs", str(WORKERS)])[1]
+        return _played(Path(folder), n_assembled) if played else _in_parts(Path(folder), n_assembled)
 
 
-def child(n_assembled: int) -> dict[str, Any]:
-    """Cost of an operating point: measured, kept and assembled."""
+def _played(folder: Path, n_points: int) -> dict[str, Any]:
+    """A whole campaign in which nothing is measured but its first operating points."""
+    from seqsweep.sweep.measure.measure import measure_together
+    from seqsweep.sweep.run import host
+    from seqsweep.sweep.run.campaign import run
+
+    text = campaign_text(n_points, 4).replace("f_min_hz = 1.0", "f_min_hz = 200.0")
+    (folder / "campaign.toml").write_text(text, "utf-8")
+    plan, plant = planned(folder / "campaign.toml")
+    results = cycle(measure_together(plant, list(islice(plan.batches(), TOGETHER))))
+    host.measure_together = lambda plant, batches: [next(results) for _ in batches]
+    run(plan, plant, folder / "y.parquet", jobs=1)
+    return {"memory_mb": peak_memory_mb()}
+
+
+def _in_parts(folder: Path, n_assembled: int) -> dict[str, Any]:
+    """An operating point measured, kept and assembled."""
+    from seqsweep.identify.table.read import read_metadata
     from seqsweep.identify.table.write import write_table
     from seqsweep.sweep.measure.measure import measure_together
-    from seqsweep.sweep.run import shards
+    from seqsweep.sweep.run.asked import Asked
+    from seqsweep.sweep.run.store import Folder
     from seqsweep.sweep.run.swept import Swept
 
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "campaign.toml").write_text(campaign_text(n_assembled, POINTS), "utf-8")
-        plan, plant = planned(folder / "campaign.toml")
-        batches = list(plan.batches())
-        measure_together(plant, batches[:1])  # code is loaded
-        begin = time.process_time()
-        results = measure_together(plant, batches[:TOGETHER])
-        measured_s = time.process_time() - begin
-        store = shards.Folder(folder)
-        begin = time.process_time()
-        for batch, result in zip(batches, cycle(results), strict=False):
-            store.write(batch, result)
-        kept_s = time.process_time() - begin
-        swept = Swept(plan, plant, store, batches, {})
-        begin = time.process_time()
-        write_table(folder / "y.parquet", swept.responses(), swept.metadata())
-        assembled_s = time.process_time() - begin
-        sizes = list(_sizes(folder, batches))
-        # by itself: what is there many times over packs too well
-        few = Swept(replace(plan, conditions=plan.conditions[:TOGETHER]), plant, store, batches[:TOGETHER], {})
-        write_table(folder / "few.parquet", few.responses(), few.metadata())
-        table_bytes = (folder / "few.parquet").stat().st_size
+    (folder / "campaign.toml").write_text(campaign_text(n_assembled, POINTS), "utf-8")
+    plan, plant = planned(folder / "campaign.toml")
+    first = list(islice(plan.batches(), TOGETHER))
+    measure_together(plant, first[:1])  # code is loaded
+    begin = time.process_time()
+    results = measure_together(plant, first)
+    measured_s = time.process_time() - begin
+    shards = folder / "y.parquet.parts"
+    shards.mkdir()
+    store = Folder(shards)
+    begin = time.process_time()
+    for batch, result in zip(plan.batches(), cycle(results), strict=False):
+        store.write(batch, result)
+    kept_s = time.process_time() - begin
+    packed, loose = _sizes(shards, "*.pack"), _sizes(shards, "?" * 64)
+    begin = time.process_time()
+    _write(write_table, Swept(plan, plant, store, Asked((plan,)).at, {}), folder / "y.parquet")
+    assembled_s = time.process_time() - begin
+    memory_mb = peak_memory_mb()
+    # by itself: what is there many times over packs too well
+    few = replace(plan, conditions=plan.conditions[:TOGETHER])
+    _write(write_table, Swept(few, plant, store, Asked((few,)).at, {}), folder / "few.parquet")
+    table_bytes = (folder / "few.parquet").stat().st_size
+    foot = len(json.dumps(read_metadata(folder / "y.parquet"), separators=(",", ":")))
     return {
         "operating_points": n_assembled,
         "measure_s": measured_s / TOGETHER + kept_s / n_assembled,
         "assemble_s": assembled_s / n_assembled,
-        "shard_kb": float(np.mean(sizes)) / 1e3,
+        "loose_kb": float(np.mean(loose)) / 1e3,
+        "packed_kb": sum(packed) / (n_assembled - len(loose)) / 1e3,
         "table_kb": table_bytes / TOGETHER / 1e3,
-        "memory_mb": peak_memory_mb(),
+        "foot_b": foot / n_assembled,
+        "memory_mb": memory_mb,
     }
 
 
-def _sizes(folder: Path, batches: list[Any]) -> Iterator[int]:
-    return ((folder / batch.key).stat().st_size for batch in batches)
+def _write(write_table: Callable[..., None], swept: Any, path: Path) -> None:
+    write_table(path, swept.responses(), swept.header())
+
+
+def _sizes(folder: Path, names: str) -> list[int]:
+    return [path.stat().st_size for path in folder.glob(names)]
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a new binary file that takes the place of ``path`` if, and only if, the block succeeds.
+    """Open a new binary file, to write and read, that takes the place of ``path`` if, and only if, the block succeeds.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def atomic_file(path: str | Path) -> Iterator[BinaryIO]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with naming(path, temporary):
-            with open(temporary, "wb") as file:
+            with open(temporary, "w+b") as file:
                 yield file
                 file.flush()
                 os.fsync(file.fileno())

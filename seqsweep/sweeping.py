@@ -265,7 +265,7 @@ def _table_of(swept: Swept) -> Table:
 
 def _interrupted(swept: Swept, single: bool) -> SweepInterrupted:
     asked = len(swept.plan.points) * len(swept.plan.conditions)
-    if not swept.batches:
+    if next(swept.responses(), None) is None:
         return SweepInterrupted(None, asked)
     table = _table_of(swept)
     return SweepInterrupted(table[table.op_ids[0]] if single else table, asked)

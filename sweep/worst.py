@@ -156,8 +156,8 @@ def sweeping(configuration: Mapping[str, Any], jobs: int, parameters: Sequence[s
         plant = plant_or_card(config)
         plan = replace(make_plan(config, plant), adaptive=None)
         swept = sweep_in_memory(plan, plant, jobs=jobs, backend="threading")
-        (response,), (facts,) = swept.responses(), swept.metadata()["operating_points"]
-        return replace(response, meta={**response.meta, **facts, **facts_of(point, parameters)})
+        (response,) = swept.responses()
+        return replace(response, meta={**response.meta, **facts_of(point, parameters)})
 
     return sweep
 

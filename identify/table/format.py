@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,45 +83,36 @@ def complete_metadata(meta: Mapping[str, Any]) -> dict[str, Any]:
     TableError
         If a required key is missing, a key is unknown, a fixed one differs, or a value is not JSON.
     """
-    if missing := sorted(_REQUIRED - set(meta)):
+    _check_keys(meta, _REQUIRED)
+    _check_points(meta["operating_points"])
+    completed = _completed(meta)
+    return {**json.loads(canonical_json(completed)), "sha256": metadata_hash(completed)}
+
+
+def complete_header(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """`complete_metadata` without the operating points, which come with their rows, and without the hash of all."""
+    _check_keys(meta, _REQUIRED - {"operating_points"})
+    return _completed(meta)
+
+
+def _check_keys(meta: Mapping[str, Any], required: Set[str]) -> None:
+    if missing := sorted(required - set(meta)):
         raise TableError(f"metadata lacks {', '.join(missing)}")
     if unknown := sorted(set(meta) - _REQUIRED - _OPTIONAL):
         raise TableError(f"metadata has no place for {', '.join(unknown)}; put it into configuration or plant")
     for key, value in _FIXED.items():
         if meta.get(key, value) != value:
             raise TableError(f"metadata {key} is {meta[key]!r}; this version of the format has {value!r}")
-    _check_points(meta["operating_points"])
     if set(meta["bases"]) - {"amplitude_pu"} != _BASES:
         raise TableError(f"metadata bases are {', '.join(sorted(_BASES))}; given {', '.join(sorted(meta['bases']))}")
+
+
+def _completed(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """Definitions, tool version and the hash of the configuration added."""
     completed: dict[str, Any] = {"seeds": {}, "tool": _tool(), **meta, **_FIXED}
     completed["bases"] = {**meta["bases"], "amplitude_pu": AMPLITUDE_PU}
     completed["configuration_sha256"] = content_hash(meta["configuration"])
-    return {**json.loads(canonical_json(completed)), "sha256": metadata_hash(completed)}
-
-
-def sealed(meta: Mapping[str, Any], facts: Mapping[str, Mapping[str, Any]]) -> bytes:
-    """Completed metadata as it is stored: with further facts of its operating points, by op_id, and the hash of all.
-
-    Each part becomes text once, for the hash and for the file: of 100,000 operating points it is 60 MB.
-    """
-    points = (canonical_json({**point, **facts.get(point["op_id"], {})}).encode() for point in meta["operating_points"])
-    parts = {key: canonical_json(value).encode() for key, value in meta.items() if key not in _SEALED_APART}
-    parts["operating_points"] = b"".join((b"[", b",".join(points), b"]"))
-    digest = hashlib.sha256()
-    for piece in _object_of(parts):
-        digest.update(piece)
-    return b"".join(_object_of({**parts, "sha256": canonical_json(digest.hexdigest()).encode()}))
-
-
-_SEALED_APART = ("operating_points", "sha256")
-
-
-def _object_of(parts: Mapping[str, bytes]) -> Iterator[bytes]:
-    """`canonical_json` of an object, piece by piece, from that of its values."""
-    for number, key in enumerate(sorted(parts)):
-        yield f'{"," if number else "{"}"{key}":'.encode()
-        yield parts[key]
-    yield b"}"
+    return completed
 
 
 def _check_points(points: Sequence[Mapping[str, Any]]) -> None:
@@ -129,11 +120,16 @@ def _check_points(points: Sequence[Mapping[str, Any]]) -> None:
     if not points:
         raise TableError("metadata has no operating points")
     for number, point in enumerate(points, start=1):
-        if missing := sorted(_POINT - set(point)):
-            raise TableError(f"operating point {number} of the metadata lacks {', '.join(missing)}")
+        check_point(point, number)
     counts = Counter(point["op_id"] for point in points)
     if twice := [name for name, n in counts.items() if n > 1]:
         raise TableError(f"operating point {twice[0]!r} is listed twice in the metadata")
+
+
+def check_point(point: Mapping[str, Any], number: int) -> None:
+    """Refuse an operating point without name, power or voltage."""
+    if missing := sorted(_POINT - set(point)):
+        raise TableError(f"operating point {number} of the metadata lacks {', '.join(missing)}")
 
 
 def metadata_hash(meta: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ pyarrow is imported where it is used: a command that only prints its help must n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,20 +13,21 @@ import numpy as np
 
 from ..files import atomic_file
 from ..response import FrequencyResponse
+from . import footer
 from .format import (
     CARRIED,
     COLUMNS,
     ELEMENTS,
-    METADATA_KEY,
     N_COV,
     QUALITY,
     ROW_GROUP_ROWS,
     Column,
     TableError,
+    check_point,
+    complete_header,
     complete_metadata,
     joined,
     pack_covariance,
-    sealed,
     std_of,
 )
 
@@ -46,7 +47,8 @@ def write_table(path: str | Path, responses: Iterable[FrequencyResponse], meta: 
     meta : mapping
         ``f1_hz``, ``bases`` (rated_voltage_v, rated_power_va), ``power_meaning``,
         ``operating_points``, ``configuration``, ``plant``, and ``seeds`` where there are any; see
-        `complete_metadata` for the rest.
+        `complete_metadata` for the rest. Without ``operating_points`` the whole ``meta`` of a response is its
+        entry: of a large campaign they need not be in memory at once.
 
     Raises
     ------
@@ -55,18 +57,27 @@ def write_table(path: str | Path, responses: Iterable[FrequencyResponse], meta: 
     OSError
         If the machine refuses (disk full, permission); nothing is left behind.
     """
-    completed = complete_metadata(meta)
+    if "operating_points" in meta:
+        completed = complete_metadata(meta)
+        described = _as_listed(responses, completed["operating_points"])
+    else:
+        completed = complete_header(meta)
+        described = _as_carried(responses)
     with atomic_file(path) as file:
-        _write(file, responses, completed)
+        _write(file, _checked(described, completed["f1_hz"]), completed)
 
 
-def _write(file: BinaryIO, responses: Iterable[FrequencyResponse], meta: Mapping[str, Any]) -> None:
+Described = tuple[FrequencyResponse, Mapping[str, Any]]
+"""A response, and the entry of its operating point in the metadata."""
+
+
+def _write(file: BinaryIO, described: Iterable[Described], meta: Mapping[str, Any]) -> None:
     import pyarrow.parquet as pq
 
     schema = _arrow_schema()
     strings = [column.name for column in COLUMNS if column.kind == "string"]
     doubles = [_leaf(column) for column in COLUMNS if column.kind != "string"]
-    facts: dict[str, dict[str, Any]] = {}
+    text = footer.MetadataText(meta)
     with pq.ParquetWriter(
         file,
         schema,
@@ -75,15 +86,16 @@ def _write(file: BinaryIO, responses: Iterable[FrequencyResponse], meta: Mapping
         use_byte_stream_split=doubles,
         write_page_checksum=True,
     ) as writer:
-        for group in _row_groups(_noted(_checked(responses, meta), facts), schema):
+        for group in _row_groups(_noted(described, text), schema):
             writer.write_table(group, row_group_size=ROW_GROUP_ROWS)
-        writer.add_key_value_metadata({METADATA_KEY: sealed(meta, facts)})
+        footer.reserve(writer)
+    footer.fill(file, text.pieces())
 
 
-def _noted(responses: Iterable[FrequencyResponse], facts: dict[str, dict[str, Any]]) -> Iterator[FrequencyResponse]:
-    """Pass the responses on, and note by op_id which facts they carry: they come one by one, the metadata last."""
-    for response in responses:
-        facts[response.meta["op_id"]] = {key: response.meta[key] for key in CARRIED if key in response.meta}
+def _noted(described: Iterable[Described], text: footer.MetadataText) -> Iterator[FrequencyResponse]:
+    """Pass the responses on, and put their operating points into the metadata."""
+    for response, point in described:
+        text.add(point)
         yield response
 
 
@@ -104,24 +116,42 @@ def _arrow_schema() -> Any:
     return pa.schema([pa.field(c.name, kinds[c.kind], nullable=False, metadata=units[c.name]) for c in COLUMNS])
 
 
-def _checked(responses: Iterable[FrequencyResponse], meta: Mapping[str, Any]) -> Iterator[FrequencyResponse]:
-    """Pass the responses on while they are those the metadata announces."""
-    expected = [point["op_id"] for point in meta["operating_points"]]
-    n_rows: int | None = None
+def _as_listed(responses: Iterable[FrequencyResponse], points: Sequence[Mapping[str, Any]]) -> Iterator[Described]:
+    """The responses with their entries, while they are those that the metadata announces."""
     n_points = 0
     for response in responses:
         op_id = response.meta.get("op_id")
-        if n_points == len(expected) or op_id != expected[n_points]:
-            due = expected[n_points] if n_points < len(expected) else "none"
+        if n_points == len(points) or op_id != points[n_points]["op_id"]:
+            due = points[n_points]["op_id"] if n_points < len(points) else "none"
             raise TableError(f"response {n_points + 1} is of operating point {op_id!r}; the metadata has {due!r} there")
-        n_rows = len(response) if n_rows is None else n_rows
-        _check_response(response, meta["f1_hz"], n_rows)
+        facts = {key: response.meta[key] for key in CARRIED if key in response.meta}
+        yield response, {**points[n_points], **facts}
         n_points += 1
-        yield response
-    if n_points != len(expected):
-        raise TableError(
-            f"{n_points} responses for {len(expected)} operating points; {expected[n_points]!r} is missing"
-        )
+    if n_points != len(points):
+        missing = points[n_points]["op_id"]
+        raise TableError(f"{n_points} responses for {len(points)} operating points; {missing!r} is missing")
+
+
+def _as_carried(responses: Iterable[FrequencyResponse]) -> Iterator[Described]:
+    """The responses with the entries that they carry themselves."""
+    known = set[str]()
+    for number, response in enumerate(responses, start=1):
+        check_point(response.meta, number)
+        op_id = response.meta["op_id"]
+        if op_id in known:
+            raise TableError(f"response {number} is of operating point {op_id!r}, which was there before")
+        known.add(op_id)
+        yield response, response.meta
+    if not known:
+        raise TableError("there are no responses: a table has one operating point at least")
+
+
+def _checked(described: Iterable[Described], f1_hz: float) -> Iterator[Described]:
+    n_rows: int | None = None
+    for response, point in described:
+        n_rows = len(response) if n_rows is None else n_rows
+        _check_response(response, f1_hz, n_rows)
+        yield response, point
 
 
 def _check_response(response: FrequencyResponse, f1_hz: float, n_rows: int) -> None:

@@ -28,7 +28,10 @@ from .shared import (
 from .telling import columns, is_json, remark, result
 
 if TYPE_CHECKING:
+    from ...plant.protocol import Plant
+    from ...plant.registry import PlantCard
     from ..config.sections import Config
+    from ..plan import Plan
     from ..run.campaign import Outcome
 
 
@@ -107,6 +110,8 @@ def run(
     settings: Settings = None,
 ) -> None:
     """Sweep, and write the table. Interrupted, the same command goes on where it was."""
+    from ..run.spare import spare_children
+
     if backend not in (None, "threading", "loky", "dask"):
         raise WrongInput(f"--backend {backend!r}: known are threading, loky and dask")
     if scheduler is not None and backend != "dask":
@@ -118,7 +123,10 @@ def run(
     if config.sweep.operating_points is not None:
         _run_region(config, output, Running(jobs, backend, scheduler), force)
         return
-    outcome = _run_listed(config, output, Running(jobs, backend, scheduler), force)
+    with spare_children():
+        planned, plant = planned_from(config)
+        del config  # of 100,000 operating points some 100 MB that nobody needs any more
+        outcome = _run_planned(planned, plant, output, Running(jobs, backend, scheduler), force)
     report_statuses(output, outcome.statuses)
     for text in outcome.remarks:
         remark(text)
@@ -134,34 +142,33 @@ class Running(NamedTuple):
     scheduler: str | None
 
 
-def _run_listed(config: Config, output: Path, running: Running, force: bool) -> Outcome:
+def _run_planned(planned: Plan, plant: Plant | PlantCard, output: Path, running: Running, force: bool) -> Outcome:
     """A campaign whose operating points are listed."""
     from ..run.campaign import run as run_campaign
-    from ..run.spare import spare_children
     from .progress import progress
 
-    with spare_children():
-        planned, plant = planned_from(config)
-        with progress() as shown:
-            return run_campaign(
-                planned,
-                plant,
-                output,
-                jobs=running.jobs,
-                backend=running.backend,
-                scheduler=running.scheduler,
-                discard=force,
-                report=shown.report,
-                say=shown.say,
-            )
+    with progress() as shown:
+        return run_campaign(
+            planned,
+            plant,
+            output,
+            jobs=running.jobs,
+            backend=running.backend,
+            scheduler=running.scheduler,
+            discard=force,
+            report=shown.report,
+            say=shown.say,
+        )
 
 
 def _run_region(config: Config, output: Path, running: Running, force: bool) -> None:
     """A campaign that chooses its operating points."""
     from ..region.adaptive import sweep_region
+    from ..run.spare import spare_children
 
     def one_round(listed: Config, path: Path) -> None:
-        _run_listed(listed, path, running, force)
+        with spare_children():
+            _run_planned(*planned_from(listed), path, running, force)
 
     folder = output.with_name(output.name + ".rounds")
     if force and folder.exists():

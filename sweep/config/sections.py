@@ -274,10 +274,10 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
 
     text = read(Path(path))
     data = parse(text, path)
-    lines = line_numbers(text, data)
     settings = apply(overrides, data)
     config, problems = checked(data, Path(path).parent)
     if config is None:
+        lines = line_numbers(text, parse(text, path))
         in_order = sorted(problems, key=lambda problem: line_of(problem.keys, lines) or 0)
         raise ConfigError([f"{place_of(path, p.keys, lines, settings)}: {dotted(p.keys)}: {p.text}" for p in in_order])
     return config

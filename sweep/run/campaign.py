@@ -21,10 +21,12 @@ from ...plant.protocol import Plant
 from ...plant.registry import PlantCard
 from ..excitation.adaptive_rounds import certificate, next_round
 from ..excitation.frequencies import Frequency
-from ..plan import Batch, Plan
+from ..plan import Plan
 from . import shards
+from .asked import Asked, Missing, work_of
 from .pilots import chosen, parts, pilots
-from .swept import Swept, batches_by_condition, response_of, responses_of, rows_of
+from .store import Folder, Memory, Store
+from .swept import Swept, response_of, rows_of
 from .workers import Pool, RunError, Workers, pool
 
 __all__ = ["Interrupted", "Outcome", "RunError", "Runner", "response_of", "run", "sweep_in_memory"]
@@ -32,7 +34,7 @@ __all__ = ["Interrupted", "Outcome", "RunError", "Runner", "response_of", "run",
 Report = Callable[[int, int, float], None]
 """Called with (points done, points in all, share of the work done) whenever a batch is kept."""
 
-BatchesOf = Callable[[Sequence[Frequency]], list[Batch]]
+BatchesOf = Callable[[Sequence[Frequency]], Asked]
 """The batches of some points, at the amplitude that is theirs."""
 
 
@@ -99,12 +101,13 @@ def run(
     """
     folder = shards.folder_of(output)
     with shards.locked(folder):
+        store = Folder(folder)
         if not discard:
-            _refuse_strangers(plan, folder)
-        runner = Runner(plan, plant, shards.Folder(folder), Workers(jobs, backend, scheduler, say), report, say)
+            _refuse_strangers(plan, store)
+        runner = Runner(plan, plant, store, Workers(jobs, backend, scheduler, say), report, say)
         statuses: dict[str, int] = {}
         swept = runner.measure()
-        write_table(output, _counted(swept.responses(), statuses), swept.metadata())
+        write_table(output, _counted(swept.responses(), statuses), swept.header())
         shards.remove(folder)
     return Outcome(statuses, swept.remarks)
 
@@ -125,12 +128,11 @@ def sweep_in_memory(
     Interrupted
         If it is interrupted; with what was measured until then.
     """
-    store = shards.Memory()
+    store = Memory()
     try:
         return Runner(plan, plant, store, Workers(jobs, backend, None, say), report).measure()
     except KeyboardInterrupt:
-        known = [batch for batch, result in store.kept.values() if batch.amplitude_pu == plan.amplitude_pu]
-        raise Interrupted(Swept(plan, plant, store, known, {})) from None
+        raise Interrupted(Swept(plan, plant, store, store.measured(plan.amplitude_pu), {})) from None
 
 
 class Interrupted(KeyboardInterrupt):
@@ -178,7 +180,7 @@ class Runner:
 
     plan: Plan
     plant: Plant | PlantCard
-    store: shards.Store
+    store: Store
     workers: Workers
     report: Report = _quiet
     say: Callable[[str], None] = _silent
@@ -194,23 +196,23 @@ class Runner:
         batches_of = self._at_balanced_amplitudes(results) if plan.automatic else _at_one_amplitude(plan)
         if plan.adaptive is not None:
             return self._measure_in_rounds(results, batches_of)
-        batches = batches_of(plan.points)
-        self._bring(results, batches, self.report)
-        return Swept(plan, self.plant, self.store, batches, {})
+        asked = batches_of(plan.points)
+        self._bring(results, asked, self.report)
+        return Swept(plan, self.plant, self.store, asked.at, {})
 
-    def _bring(self, results: Pool, batches: Sequence[Batch], report: Report) -> None:
+    def _bring(self, results: Pool, asked: Asked, report: Report) -> None:
         """Bring the result of every batch into the store."""
-        total, work = sum(len(batch.points) for batch in batches), sum(_work(batch.points) for batch in batches)
-        missing = [batch for batch in batches if self.store.read(batch) is None]
+        total, work = asked.n_points, asked.work
+        missing = Missing(asked, (not self.store.holds(batch) for batch in asked))
         done = total - sum(len(batch.points) for batch in missing)
-        left = sum(_work(batch.points) for batch in missing)
+        left = sum(work_of(batch.points) for batch in missing)
         self._tell(done, total - done)
         report(done, total, 1.0 - left / work)
         with closing(results(missing)) as coming:
             for batch, result in coming:
                 self.store.write(batch, result)
                 done += len(batch.points)
-                left -= _work(batch.points)
+                left -= work_of(batch.points)
                 report(done, total, 1.0 - left / work)
 
     def _measure_in_rounds(self, results: Pool, batches_of: BatchesOf) -> Swept:
@@ -219,33 +221,30 @@ class Runner:
         assert plan.adaptive is not None
         asked, band_hz, n_conditions = plan.adaptive, plan.adaptive.band_hz(plan.f1_hz), len(plan.conditions)
         points, fresh, n_rounds = list[Frequency](), list(plan.points), 0
-        batches: list[Batch] = []
+        asked_for = Asked(())
         decision: Decision | None = None
         while fresh:
             of_round, n_rounds = batches_of(fresh), n_rounds + 1
             further = _further(self.report, len(points) * n_conditions, asked.most_points * n_conditions)
             self._bring(results, of_round, further)
-            batches += of_round
+            asked_for += of_round
             points += fresh
-            responses = list(responses_of(plan, batches, self.store))
+            responses = list(Swept(plan, self.plant, self.store, asked_for.at, {}).responses())
             decision = decide(responses, decision, band_hz, asked.tolerance)
             fresh = next_round(decision.nu_hz, points, asked, plan.f1_hz, plan.block)
         self.report(len(points) * n_conditions, len(points) * n_conditions, 1.0)
         assert decision is not None
         certificates = {v.op_id: certificate(v, asked, plan.f1_hz, n_rounds) for v in decision.verdicts}
-        return Swept(plan, self.plant, self.store, batches, certificates)
+        return Swept(plan, self.plant, self.store, asked_for.at, certificates)
 
     def _at_balanced_amplitudes(self, results: Pool) -> BatchesOf:
         """Sweep the pilots, and let them speak for every point."""
         plan, asked = self.plan, pilots(self.plan)
-        steps = [list(part.batches()) for part in asked.plans]
-        self._bring(results, [batch for step in steps for batch in step], _quiet)
-        ladder = [
-            {op_id: rows_of(self.store, batches) for op_id, batches in batches_by_condition(plan, step).items()}
-            for step in steps
-        ]
+        self._bring(results, Asked(asked.plans), _quiet)
+        steps = [Asked((part,)) for part in asked.plans]
+        ladder = [{point.op_id: rows_of(self.store, step.at(point)) for point in plan.conditions} for step in steps]
         levels = chosen(asked, ladder)
-        return lambda points: [batch for part in parts(plan, points, asked, levels) for batch in part.batches()]
+        return lambda points: Asked(parts(plan, points, asked, levels))
 
     def _tell(self, found: int, missing: int) -> None:
         """Say once what an earlier run left, before anything is measured.
@@ -272,32 +271,27 @@ def _counted(responses: Iterable[FrequencyResponse], statuses: dict[str, int]) -
         yield response
 
 
-def _refuse_strangers(plan: Plan, folder: Path) -> None:
+def _refuse_strangers(plan: Plan, store: Folder) -> None:
     """Work of another campaign is not thrown away unasked: a forgotten ``--set`` would cost it."""
-    kept = shards.keys(folder)
-    if not kept:
+    strangers = store.keys()
+    n_kept = len(strangers)
+    if not n_kept:
         return
-    first = pilots(plan).plans if plan.automatic else (plan,)
-    ours = {batch.key for part in first for batch in part.batches()}
-    strangers = kept - ours
-    if (plan.adaptive is not None or plan.automatic) and len(strangers) < len(kept):
+    for batch in Asked(pilots(plan).plans if plan.automatic else (plan,)):
+        strangers.discard(batch.key)
+    if (plan.adaptive is not None or plan.automatic) and len(strangers) < n_kept:
         return  # shards of the first round are ours: so may be those of further rounds
     if strangers:
         raise RunError(
-            f"{folder} holds {len(strangers)} batches of another campaign, or of this one with other settings: run "
+            f"{store} holds {len(strangers)} batches of another campaign, or of this one with other settings: run "
             "that one again to finish it, or give --force to discard them"
         )
 
 
 def _at_one_amplitude(plan: Plan) -> BatchesOf:
-    return lambda points: list(replace(plan, points=tuple(points)).batches())
+    return lambda points: Asked((replace(plan, points=tuple(points)),))
 
 
 def _further(report: Report, before: int, most: int) -> Report:
     """Progress of one round as that of the whole, which is as much as ``most`` points."""
     return lambda done, total, share: report(before + done, most, (before + done) / most)
-
-
-def _work(points: Sequence[Frequency]) -> int:
-    """Work of some points: long windows come first, so points alone would promise too long a wait."""
-    return sum(point.window_blocks for point in points)

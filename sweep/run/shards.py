@@ -15,14 +15,13 @@ from binascii import a2b_base64, b2a_base64
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, NamedTuple, Protocol
+from typing import IO
 
 import numpy as np
 
 from ...identify.files import naming
 from ...identify.table.format import N_COV
 from ..measure.rows import N_Y, BatchResult, Row
-from ..plan import Batch
 
 _FORMAT = "condition, words, numbers"
 """Part of every check sum: a shard of another form counts as damaged, and is measured anew."""
@@ -30,7 +29,7 @@ _FORMAT = "condition, words, numbers"
 _BETWEEN = "\t"
 """Between the three parts of a shard: neither JSON nor base 64 has such a character."""
 
-_NUMBERS = "<f8"
+NUMBERS = "<f8"
 """Numbers of a shard: little-endian doubles."""
 
 
@@ -76,75 +75,33 @@ def _still_there(file: IO[str], path: Path) -> bool:
         return False
 
 
-class Store(Protocol):
-    """Where the results of batches are kept while a campaign runs."""
-
-    def read(self, batch: Batch) -> BatchResult | None:
-        """The result of a batch; None where there is none, or it is damaged."""
-
-    def condition(self, batch: Batch) -> dict[str, float] | None:
-        """What the result of a batch says of its operating point; None as `read`."""
-
-    def write(self, batch: Batch, result: BatchResult) -> None:
-        """Keep the result of a batch."""
-
-
-class Folder(NamedTuple):
-    """Results as shards in a folder: they outlive the run."""
-
-    path: Path
-
-    def read(self, batch: Batch) -> BatchResult | None:
-        return read(self.path, batch.key)
-
-    def condition(self, batch: Batch) -> dict[str, float] | None:
-        text = kept(self.path, batch.key)
-        return None if text is None else json.loads(text.partition(_BETWEEN)[0])
-
-    def write(self, batch: Batch, result: BatchResult) -> None:
-        write(self.path, batch.key, result)
-
-    def __str__(self) -> str:
-        return str(self.path)
-
-
-class Memory:
-    """Results in memory, for a run whose table nobody asked for."""
-
-    def __init__(self) -> None:
-        self.kept: dict[str, tuple[Batch, BatchResult]] = {}
-
-    def read(self, batch: Batch) -> BatchResult | None:
-        kept = self.kept.get(batch.key)
-        return None if kept is None else kept[1]
-
-    def condition(self, batch: Batch) -> dict[str, float] | None:
-        result = self.read(batch)
-        return None if result is None else result.condition
-
-    def write(self, batch: Batch, result: BatchResult) -> None:
-        self.kept[batch.key] = batch, result
-
-
 def write(folder: Path, key: str, result: BatchResult) -> None:
     """Keep ``result`` as the shard ``key``."""
-    words = [(row.status, row.reason) for row in result.rows]
-    numbers = np.array([_numbers(row) for row in result.rows], _NUMBERS).tobytes()
-    parts = json.dumps(result.condition), json.dumps(words), b2a_base64(numbers, newline=False).decode("ascii")
-    keep(folder, key, _BETWEEN.join(parts))
+    numbers = b2a_base64(numbers_of(result).tobytes(), newline=False).decode("ascii")
+    keep(folder, key, _BETWEEN.join((json.dumps(result.condition), json.dumps(words_of(result)), numbers)))
 
 
 def keep(folder: Path, key: str, text: str) -> None:
     """Keep one line of ``text`` as the shard ``key``."""
     temporary = folder / f"{key}.{os.getpid()}.tmp"
+    with there(folder):
+        try:
+            with naming(folder / key, temporary):
+                with open(temporary, "w", encoding="utf-8") as file:
+                    file.write(f"{_checksum(key, text)}\n{text}\n")
+                os.replace(temporary, folder / key)
+        except OSError:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+
+
+@contextmanager
+def there(folder: Path) -> Iterator[None]:
+    """What cannot be written because the folder is gone says so."""
     try:
-        with naming(folder / key, temporary):
-            with open(temporary, "w", encoding="utf-8") as file:
-                file.write(f"{_checksum(key, text)}\n{text}\n")
-            os.replace(temporary, folder / key)
+        yield
     except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
         if not folder.is_dir():
             raise OSError(f"{folder} was moved or removed while the run was at work; run the command again") from error
         raise
@@ -157,8 +114,7 @@ def read(folder: Path, key: str) -> BatchResult | None:
         return None
     condition, all_words, packed = text.split(_BETWEEN)
     words = json.loads(all_words)
-    numbers = np.frombuffer(a2b_base64(packed), _NUMBERS).reshape(len(words), -1).tolist()
-    return BatchResult(tuple(map(_row, words, numbers)), json.loads(condition))
+    return result_of(json.loads(condition), words, np.frombuffer(a2b_base64(packed), NUMBERS).reshape(len(words), -1))
 
 
 def kept(folder: Path, key: str) -> str | None:
@@ -178,7 +134,7 @@ def keys(folder: Path) -> set[str]:
 def remove(folder: Path) -> None:
     """Remove the shards once the table is written; a file that is not ours stays, and so does the folder."""
     for path in folder.iterdir():
-        if path.name == "lock" or path.suffix == ".tmp" or _is_key(path.name):
+        if path.name == "lock" or path.suffix in (".tmp", ".pack") or _is_key(path.name):
             path.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()
@@ -191,6 +147,21 @@ def _is_key(name: str) -> bool:
 def _checksum(key: str, text: str) -> str:
     """Over the key too: a shard under another's name is not that other."""
     return hashlib.sha256(f"{_FORMAT}\n{key}\n{text}".encode()).hexdigest()
+
+
+def words_of(result: BatchResult) -> list[tuple[str, str]]:
+    """Status and reason of every row."""
+    return [(row.status, row.reason) for row in result.rows]
+
+
+def numbers_of(result: BatchResult) -> np.ndarray:
+    """All of the rows but their words, (n, 17 + `N_COV`); see `_row`."""
+    return np.array([_numbers(row) for row in result.rows], NUMBERS)
+
+
+def result_of(condition: dict[str, float], words: Sequence[Sequence[str]], numbers: np.ndarray) -> BatchResult:
+    """The result that `words_of` and `numbers_of` took apart."""
+    return BatchResult(tuple(map(_row, words, numbers.tolist())), condition)
 
 
 def _numbers(row: Row) -> tuple[float, ...]:

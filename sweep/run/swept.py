@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from ..measure.linearity import judged
 from ..measure.proof import stable_on
 from ..measure.rows import BatchResult, Row
 from ..plan import Batch, Condition, Plan
-from .shards import Store
-
-T = TypeVar("T")
+from .store import Store
 
 
 class Swept(NamedTuple):
@@ -30,8 +28,8 @@ class Swept(NamedTuple):
         What was asked, and of whom.
     store : Store
         Where the results of the batches are.
-    batches : list of Batch
-        All of them.
+    batches_at : callable
+        The batches of an operating point; none where it is not in the table.
     certificates : mapping
         What the last round of an adaptive grid certifies, by op_id.
     """
@@ -39,21 +37,40 @@ class Swept(NamedTuple):
     plan: Plan
     plant: Plant | PlantCard
     store: Store
-    batches: list[Batch]
+    batches_at: Callable[[Condition], Sequence[Batch]]
     certificates: Mapping[str, dict[str, Any]]
 
     def responses(self) -> Iterator[FrequencyResponse]:
-        """One for every operating point that has rows, in campaign order."""
-        return responses_of(self.plan, self.batches, self.store)
+        """One for every operating point that has rows, in campaign order; its ``meta`` is its entry in the table."""
+        for condition in self.plan.conditions:
+            if results := self._results(condition):
+                rows = judged(_ascending(results), self.plan.nonlinear_above)
+                yield _response(self.plan, condition, rows, self._entry(condition, results[0].condition))
 
     def metadata(self) -> dict[str, Any]:
-        """Metadata of the table, as `write_table` takes it."""
-        by_condition = batches_by_condition(self.plan, self.batches)
-        meta = _metadata(self.plan, self.plant, by_condition, self.store)
-        for entry in meta["operating_points"]:
-            if entry["op_id"] in self.certificates:
-                entry["interpolation"] = self.certificates[entry["op_id"]]
-        return meta
+        """Metadata of the table with its operating points, but for what their rows prove."""
+        found = ((condition, self._results(condition)) for condition in self.plan.conditions)
+        points = [self._entry(condition, results[0].condition) for condition, results in found if results]
+        return {**self.header(), "operating_points": points}
+
+    def header(self) -> dict[str, Any]:
+        """Metadata of the table but for its operating points, as `write_table` takes it with `responses`."""
+        rating = self.plant.rating
+        return {
+            "f1_hz": self.plan.f1_hz,
+            "bases": {"rated_voltage_v": rating.voltage_v, "rated_power_va": rating.power_va},
+            "power_meaning": self.plant.power_meaning,
+            "configuration": self.plan.configuration,
+            "plant": self.plan.plant_fingerprint,
+        }
+
+    def _results(self, condition: Condition) -> list[BatchResult]:
+        return [_kept(self.store, batch) for batch in self.batches_at(condition)]
+
+    def _entry(self, condition: Condition, seen: dict[str, float]) -> dict[str, Any]:
+        entry = _condition_metadata(condition, self.plant, seen)
+        certified = self.certificates.get(condition.op_id)
+        return entry if certified is None else {**entry, "interpolation": certified}
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -61,41 +78,31 @@ class Swept(NamedTuple):
         return tuple(f"{name}: {certificate_text(c, self.plan.f1_hz)}" for name, c in self.certificates.items())
 
 
-def responses_of(plan: Plan, batches: Sequence[Batch], store: Store) -> Iterator[FrequencyResponse]:
-    for own in batches_by_condition(plan, batches).values():
-        if own:
-            yield _response(plan, own[0].condition, judged(rows_of(store, own), plan.nonlinear_above))
-
-
-def batches_by_condition(plan: Plan, batches: Sequence[Batch]) -> dict[str, list[Batch]]:
-    found: dict[str, list[Batch]] = {condition.op_id: [] for condition in plan.conditions}
-    for batch in batches:
-        found[batch.condition.op_id].append(batch)
-    return found
-
-
 def rows_of(store: Store, batches: Sequence[Batch]) -> list[Row]:
     """Rows of some batches, ascending in frequency."""
-    return sorted((row for batch in batches for row in _kept(store, batch).rows), key=lambda row: row.f_hz)
+    return _ascending([_kept(store, batch) for batch in batches])
+
+
+def _ascending(results: Sequence[BatchResult]) -> list[Row]:
+    return sorted((row for result in results for row in result.rows), key=lambda row: row.f_hz)
 
 
 def _kept(store: Store, batch: Batch) -> BatchResult:
-    return _there(store, store.read(batch))
-
-
-def _there(store: Store, content: T | None) -> T:
-    if content is None:
+    kept = store.read(batch)
+    if kept is None:
         raise OSError(f"{store}: a shard was damaged or removed after it was written; run again to measure it anew")
-    return content
+    return kept
 
 
 def response_of(plan: Plan, op_id: str, rows: Sequence[Row]) -> FrequencyResponse:
     """Rows of one operating point, ascending, as a response, with what its shots prove."""
-    return _response(plan, next(condition for condition in plan.conditions if condition.op_id == op_id), rows)
+    return _response(
+        plan, next(condition for condition in plan.conditions if condition.op_id == op_id), rows, {"op_id": op_id}
+    )
 
 
-def _response(plan: Plan, condition: Condition, rows: Sequence[Row]) -> FrequencyResponse:
-    op_id, proof = condition.op_id, stable_on(plan, condition, rows)
+def _response(plan: Plan, condition: Condition, rows: Sequence[Row], entry: Mapping[str, Any]) -> FrequencyResponse:
+    proof = stable_on(plan, condition, rows)
     parts = np.array([row.y for row in rows])
     return FrequencyResponse(
         f_hz=np.array([row.f_hz for row in rows]),
@@ -105,29 +112,8 @@ def _response(plan: Plan, condition: Condition, rows: Sequence[Row]) -> Frequenc
         status=np.array([row.status for row in rows]),
         reason=np.array([row.reason for row in rows]),
         quality={name: np.array([getattr(row, name) for row in rows]) for name in QUALITY},
-        meta={"op_id": op_id} if proof is None else {"op_id": op_id, "stable_on": proof},
+        meta=entry if proof is None else {**entry, "stable_on": proof},
     )
-
-
-def _metadata(
-    plan: Plan, plant: Plant | PlantCard, by_condition: dict[str, list[Batch]], store: Store
-) -> dict[str, Any]:
-    return {
-        "f1_hz": plan.f1_hz,
-        "bases": {"rated_voltage_v": plant.rating.voltage_v, "rated_power_va": plant.rating.power_va},
-        "power_meaning": plant.power_meaning,
-        "operating_points": [
-            _condition_metadata(condition, plant, _seen(store, by_condition[condition.op_id][0]))
-            for condition in plan.conditions
-            if by_condition[condition.op_id]
-        ],
-        "configuration": dict(plan.configuration),
-        "plant": dict(plan.plant_fingerprint),
-    }
-
-
-def _seen(store: Store, batch: Batch) -> dict[str, float]:
-    return _there(store, store.condition(batch))
 
 
 def _condition_metadata(condition: Condition, plant: Plant | PlantCard, seen: dict[str, float]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -19,6 +19,7 @@ from ...plant.registry import PlantCard, releases_gil
 from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
 from ..plan import Batch, Hosting, Plan
+from .asked import Batches
 from .host import Measure, Say, host_at_hand, host_of, silent
 from .spare import end_spares
 
@@ -61,13 +62,13 @@ class Workers(NamedTuple):
         return self.backend or ("threading" if plan.hosting.isolate or releases_gil(plant) else "loky")
 
 
-Pool = Callable[[Sequence[Batch]], Generator[tuple[Batch, BatchResult], None, None]]
+Pool = Callable[[Batches], Generator[tuple[Batch, BatchResult], None, None]]
 """Brings the results of batches as they come; a lost worker costs what it was at.
 
 Raises ``OSError`` if workers die again and again, `RunError` if the backend is not to be had.
 """
 
-Asked = Callable[[Sequence[Batch]], Iterator[tuple[str, BatchResult]]]
+Asking = Callable[[Batches], Iterator[tuple[str, BatchResult]]]
 """Batches to workers that may be lost: keys and results as they come."""
 
 
@@ -75,25 +76,50 @@ Asked = Callable[[Sequence[Batch]], Iterator[tuple[str, BatchResult]]]
 def pool(plan: Plan, plant: Plant | PlantCard, workers: Workers) -> Iterator[Pool]:
     """One `Pool` for all rounds of a campaign; its workers begin with the first batch, and go with the block."""
     backend = workers.backend_for(plan, plant)
-    begun: list[Asked] = []
+    begun: list[Asking] = []
     with ExitStack() as stack:
 
-        def results(batches: Sequence[Batch]) -> Generator[tuple[Batch, BatchResult], None, None]:
-            left = {batch.key: batch for batch in batches}
-            if left and not begun:
+        def results(batches: Batches) -> Generator[tuple[Batch, BatchResult], None, None]:
+            left = _Left(batches)
+            if len(left) and not begun:
                 begun.append(stack.enter_context(_asking(plan, plant, workers, backend)))
             for _ in range(1 + RESTARTS):
-                if not left:
+                if not len(left):
                     return
                 try:
-                    for key, result in begun[0](list(left.values())):
-                        yield left.pop(key), result
+                    for key, result in begun[0](left):
+                        yield left.taken(key), result
                 except _lost_workers(backend):
                     continue
-            if left:
+            if len(left):
                 raise OSError(f"workers died {1 + RESTARTS} times in a row; {len(left)} batches are left")
 
         yield results
+
+
+class _Left:
+    """Batches without a result: first those that workers had when they were lost, then all that nobody asked for yet.
+
+    Only what workers have at this moment is kept.
+    """
+
+    def __init__(self, batches: Batches):
+        self._coming, self._n = iter(batches), len(batches)
+        self._under_way: dict[str, Batch] = {}
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __iter__(self) -> Iterator[Batch]:
+        yield from list(self._under_way.values())
+        for batch in self._coming:
+            self._under_way[batch.key] = batch
+            yield batch
+
+    def taken(self, key: str) -> Batch:
+        """The batch whose result is there."""
+        self._n -= 1
+        return self._under_way.pop(key)
 
 
 def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
@@ -110,7 +136,7 @@ def _lost_workers(backend: str) -> tuple[type[BaseException], ...]:
 
 
 @contextmanager
-def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str) -> Iterator[Asked]:
+def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str) -> Iterator[Asking]:
     """The workers of a backend, for as long as they are needed."""
     if backend in ("dask", "loky"):
         end_spares()
@@ -124,22 +150,21 @@ def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str
             yield partial(_in_bundles, measure, workers.jobs, isinstance(plant, PhasorPlant) and releases_gil(plant))
 
 
-def _in_bundles(
-    measure: Measure, jobs: int, compiled: bool, batches: Sequence[Batch]
-) -> Iterator[tuple[str, BatchResult]]:
+def _in_bundles(measure: Measure, jobs: int, compiled: bool, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
     """Batches to threads that share a host."""
-    bundles = _bundles(batches, jobs) if compiled else [[batch] for batch in batches]
+    bundles = _bundles(batches, jobs) if compiled else ([batch] for batch in batches)
     for keys, measured in _in_threads(lambda bundle: (_keys(bundle), measure(bundle)), bundles, jobs):
         yield from zip(keys, measured, strict=True)
 
 
-def _bundles(batches: Sequence[Batch], jobs: int) -> list[Sequence[Batch]]:
+def _bundles(batches: Batches, jobs: int) -> Iterator[list[Batch]]:
     """What a thread takes at once of a compiled plant: several batches, where enough are left for all threads.
 
     The last shots of an operating point leave lanes idle; those of several fill them.
     """
-    n = together(len(batches), jobs)
-    return [batches[first : first + n] for first in range(0, len(batches), n)]
+    n, coming = together(len(batches), jobs), iter(batches)
+    while bundle := list(islice(coming, n)):
+        yield bundle
 
 
 def together(n_batches: int, jobs: int) -> int:
@@ -152,7 +177,7 @@ def _keys(batches: Sequence[Batch]) -> list[str]:
     return [batch.key for batch in batches]
 
 
-def _in_threads(work: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[R]:
+def _in_threads(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterator[R]:
     """Results as they come; a few tasks wait for each thread, and who stops listening stops the rest."""
     if jobs == 1:
         yield from map(work, tasks)
@@ -171,7 +196,7 @@ def _in_threads(work: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterat
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_processes(work: Work, jobs: int, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
+def _in_processes(work: Work, jobs: int, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
     """Batches to processes of our own: such a one would wait minutes for a runner that was killed, and goes with it."""
     from joblib import delayed, parallel_config
     from joblib.externals.loky.backend import resource_tracker
@@ -218,7 +243,7 @@ def _joblib() -> Any:
     return Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
 
 
-def _on_cluster(client: Any, work: Work, jobs: int, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
+def _on_cluster(client: Any, work: Work, jobs: int, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
     """Batches on a dask cluster; a scheduler that goes is a failure of the machine, and what was measured is kept.
 
     joblib takes a cluster of one slot for no cluster at all and would work in this process: such a one is asked
@@ -241,10 +266,14 @@ def _on_cluster(client: Any, work: Work, jobs: int, batches: Sequence[Batch]) ->
         raise OSError(f"the dask scheduler at {client.scheduler.address} is gone: {error or 'no answer'}") from None
 
 
-def _one_by_one(client: Any, work: Work, batches: Sequence[Batch]) -> Iterator[tuple[str, BatchResult]]:
+def _one_by_one(client: Any, work: Work, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
+    """A few batches wait at the scheduler, and each that is done lets another follow."""
     from distributed import as_completed
 
-    for future in as_completed([client.submit(work, batch, pure=False) for batch in batches]):
+    coming = (client.submit(work, batch, pure=False) for batch in batches)
+    waiting = as_completed(list(islice(coming, 3)))
+    for future in waiting:
+        waiting.update(list(islice(coming, 1)))
         yield future.result()
 
 

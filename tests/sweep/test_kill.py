@@ -56,6 +56,11 @@ def undisturbed(slow):
     return bytes_of
 
 
+def many_points(folder, n_points):
+    """A campaign of so many operating points that shards are packed, which they are by 256."""
+    return campaign(folder, powers=[0.1 + 0.002 * k for k in range(n_points)], n=2)
+
+
 def killed_while_held(path, table, n_shards, *options):
     """Start the command, and kill -9 its runner alone while its plant holds; its workers go by themselves."""
     process = start_held(table, n_shards, "run", path, "-o", table, *options)
@@ -85,6 +90,20 @@ def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, undisturbed, n_s
     kept = {shard: shard.stat().st_mtime_ns for shard in shards_of(table)}
     assert len(kept) >= n_shards
     assert finished(path, table, *setting) == undisturbed(isolate)
+
+
+def test_a_runner_killed_while_it_packs_shards_costs_nothing_but_time(tmp_path):
+    """As soon as a pack is begun."""
+    path, table = many_points(tmp_path, 280), tmp_path / "y.parquet"
+    process = start("run", path, "-o", table, "--jobs", 2)
+    try:
+        wait_for(lambda: any(Path(f"{table}.parts").glob("*.pack*")) or table.exists())
+        process.kill()
+        process.wait(timeout=300)
+    finally:
+        end_group(process)
+    table.unlink(missing_ok=True)  # a machine may be slow to look
+    assert finished(path, table, "--jobs", 2) == finished(path, tmp_path / "fresh.parquet", "--jobs", 1)
 
 
 def test_a_killed_worker_costs_nothing_but_time(tmp_path):
@@ -201,10 +220,17 @@ def remains(room):
     return [path for path in room.rglob("*") if path.is_file() and "dask-scratch-space" not in path.parts]
 
 
+def few_points(folder, n):
+    """A campaign of three operating points."""
+    return campaign(folder, plant="dpmsg-v1", powers=[0.1, 0.2, 0.3], n=n)
+
+
+KINDS = [(backend, how) for how in ("here", "isolated") for backend in ("threading", "loky", "dask")]
+
+
 @pytest.mark.evidence
-@pytest.mark.parametrize("isolated", [False, True], ids=["here", "isolated"])
-@pytest.mark.parametrize("backend", ["threading", "loky", "dask"])
-def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend, isolated):
+@pytest.mark.parametrize(("backend", "how"), [*KINDS, ("threading", "packed")])
+def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend, how):
     """Runner, worker, box or what these have started: one of them, at a moment drawn over the whole run.
 
     The same command again is struck as well, until a table is there.
@@ -212,12 +238,12 @@ def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend,
     room = tmp_path / "room"
     room.mkdir()
     monkeypatch.setenv("TMPDIR", str(room))
-    path = campaign(tmp_path, plant="dpmsg-v1", powers=[0.1, 0.2, 0.3], n=6 if isolated else 24)
-    isolate = ["--set", f"plant.isolate={str(isolated).lower()}"]
+    path = many_points(tmp_path, 520) if how == "packed" else few_points(tmp_path, 6 if how == "isolated" else 24)
+    isolate = ["--set", f"plant.isolate={str(how == 'isolated').lower()}"]
     setting, table = ["--jobs", 2, "--backend", backend, *isolate], tmp_path / "y.parquet"
     undisturbed = finished(path, tmp_path / "fresh.parquet", *isolate, run=call)
     seed = random.SystemRandom().randrange(1 << 32)
-    dice, kept, whole_s = random.Random(seed), ledger(tmp_path, f"{backend}-{isolated}"), 5.0
+    dice, kept, whole_s = random.Random(seed), ledger(tmp_path, f"{backend}-{how}"), 5.0
     while kept.n_kills < N_KILLS:
         strike = struck(path, table, dice.uniform(0.0, whole_s), dice, *setting)
         if strike.hit == "nobody":
@@ -234,5 +260,4 @@ def test_whoever_is_killed_the_table_is_the_same(tmp_path, monkeypatch, backend,
         os.utime(leftover, (0, 0))  # long ago, for whoever sweeps up
     assert finished(path, table, *setting, run=call) == undisturbed
     assert remains(room) == []
-    place = "isolated" if isolated else "here"
-    print(f"\n  {backend}, {place}: {kept.summary}, every table as undisturbed (last seed {seed})", end="")
+    print(f"\n  {backend}, {how}: {kept.summary}, every table as undisturbed (last seed {seed})", end="")
