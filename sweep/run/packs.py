@@ -7,7 +7,6 @@ shard carries its own check sum: a damaged one is measured anew, and the others 
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from struct import Struct
@@ -28,6 +27,8 @@ _MARK = b"seqsweep pack 1\n"
 _END = Struct("<I32s16s")
 """Number of shards, check sum of their places, and what kind of file this is."""
 
+_WIDTH = np.dtype(shards.NUMBERS).itemsize
+
 _SUM = 32
 """Bytes of a check sum, before what it is of."""
 
@@ -42,12 +43,12 @@ def numbers(folder: Path) -> list[int]:
     return sorted(int(path.stem) for path in folder.glob(f"*{SUFFIX}") if path.stem.isdecimal())
 
 
-def write(folder: Path, number: int, results: Iterable[tuple[str, BatchResult]]) -> np.ndarray:
-    """Keep some results in one file, which is there as a whole or not at all; the places (n,) of their shards."""
+def write(folder: Path, number: int, named: Iterable[tuple[str, shards.Parts]]) -> np.ndarray:
+    """Keep some shards in one file, which is there as a whole or not at all; the places (n,) of their shards."""
     places, at = [], 0
     with atomic_file(path_of(folder, number)) as file:
-        for key, result in results:
-            plain = _plain(result)
+        for key, parts in named:
+            plain = _plain(parts)
             packed = _codec().compress(plain, asbytes=True)
             at += file.write(_checksum(key, packed) + packed)
             places.append((key, at - _SUM - len(packed), _SUM + len(packed), len(plain), number))
@@ -84,21 +85,18 @@ def read(folder: Path, place: np.void) -> BatchResult | None:
     return _result(_codec().decompress(packed, decompressed_size=int(place["plain"]), asbytes=True))
 
 
-def _plain(result: BatchResult) -> bytes:
-    """Words of a result, and its numbers, column by column, the first bytes of all numbers of a column first."""
-    words = json.dumps([result.condition, shards.words_of(result)])
-    columns = np.ascontiguousarray(shards.numbers_of(result).T)
-    by_byte = columns.view(np.uint8).reshape(*columns.shape, columns.itemsize).transpose(0, 2, 1)
-    return words.encode() + b"\n" + by_byte.tobytes()
+def _plain(parts: shards.Parts) -> bytes:
+    """Words of a shard, and its numbers, column by column, the first bytes of all numbers of a column first."""
+    columns = np.ascontiguousarray(parts.numbers.T)
+    by_byte = columns.view(np.uint8).reshape(*columns.shape, _WIDTH).transpose(0, 2, 1)
+    return b"\n".join((parts.condition.encode(), parts.words.encode(), by_byte.tobytes()))
 
 
 def _result(plain: bytes) -> BatchResult:
-    words, _, numbers = plain.partition(b"\n")
-    condition, of_rows = json.loads(words)
-    n, width = len(of_rows), np.dtype(shards.NUMBERS).itemsize
-    by_byte = np.frombuffer(numbers, np.uint8).reshape(-1, width, n).transpose(0, 2, 1)
+    condition, words, numbers = plain.split(b"\n", 2)
+    by_byte = np.frombuffer(numbers, np.uint8).reshape(shards.N_NUMBERS, _WIDTH, -1).transpose(0, 2, 1)
     columns = np.ascontiguousarray(by_byte).view(shards.NUMBERS)[..., 0]
-    return shards.result_of(condition, of_rows, np.ascontiguousarray(columns.T))
+    return shards.result_of(shards.Parts(condition.decode(), words.decode(), np.ascontiguousarray(columns.T)))
 
 
 def _codec() -> Any:

@@ -15,7 +15,7 @@ from binascii import a2b_base64, b2a_base64
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,9 @@ _BETWEEN = "\t"
 
 NUMBERS = "<f8"
 """Numbers of a shard: little-endian doubles."""
+
+N_NUMBERS = len(Row._fields) - len(("y", "cov", "status", "reason")) + N_Y + N_COV
+"""Numbers of a row; see `_row`."""
 
 
 class OutputInUse(OSError):
@@ -77,8 +80,10 @@ def _still_there(file: IO[str], path: Path) -> bool:
 
 def write(folder: Path, key: str, result: BatchResult) -> None:
     """Keep ``result`` as the shard ``key``."""
-    numbers = b2a_base64(numbers_of(result).tobytes(), newline=False).decode("ascii")
-    keep(folder, key, _BETWEEN.join((json.dumps(result.condition), json.dumps(words_of(result)), numbers)))
+    words = [(row.status, row.reason) for row in result.rows]
+    numbers = np.array([_numbers(row) for row in result.rows], NUMBERS).tobytes()
+    parts = json.dumps(result.condition), json.dumps(words), b2a_base64(numbers, newline=False).decode("ascii")
+    keep(folder, key, _BETWEEN.join(parts))
 
 
 def keep(folder: Path, key: str, text: str) -> None:
@@ -107,14 +112,27 @@ def there(folder: Path) -> Iterator[None]:
         raise
 
 
+class Parts(NamedTuple):
+    """What a shard says: what was seen and the words of the rows as JSON, and the numbers of the rows, (n, 53)."""
+
+    condition: str
+    words: str
+    numbers: np.ndarray
+
+
 def read(folder: Path, key: str) -> BatchResult | None:
     """The shard ``key``, or None where there is none or it is damaged."""
+    parts = parts_of(folder, key)
+    return None if parts is None else result_of(parts)
+
+
+def parts_of(folder: Path, key: str) -> Parts | None:
+    """The shard ``key`` as it is stored, or None where there is none or it is damaged."""
     text = kept(folder, key)
     if text is None:
         return None
-    condition, all_words, packed = text.split(_BETWEEN)
-    words = json.loads(all_words)
-    return result_of(json.loads(condition), words, np.frombuffer(a2b_base64(packed), NUMBERS).reshape(len(words), -1))
+    condition, words, packed = text.split(_BETWEEN)
+    return Parts(condition, words, np.frombuffer(a2b_base64(packed), NUMBERS).reshape(-1, N_NUMBERS))
 
 
 def kept(folder: Path, key: str) -> str | None:
@@ -149,19 +167,10 @@ def _checksum(key: str, text: str) -> str:
     return hashlib.sha256(f"{_FORMAT}\n{key}\n{text}".encode()).hexdigest()
 
 
-def words_of(result: BatchResult) -> list[tuple[str, str]]:
-    """Status and reason of every row."""
-    return [(row.status, row.reason) for row in result.rows]
-
-
-def numbers_of(result: BatchResult) -> np.ndarray:
-    """All of the rows but their words, (n, 17 + `N_COV`); see `_row`."""
-    return np.array([_numbers(row) for row in result.rows], NUMBERS)
-
-
-def result_of(condition: dict[str, float], words: Sequence[Sequence[str]], numbers: np.ndarray) -> BatchResult:
-    """The result that `words_of` and `numbers_of` took apart."""
-    return BatchResult(tuple(map(_row, words, numbers.tolist())), condition)
+def result_of(parts: Parts) -> BatchResult:
+    """The result that a shard tells of."""
+    rows = map(_row, json.loads(parts.words), parts.numbers.tolist())
+    return BatchResult(tuple(rows), json.loads(parts.condition))
 
 
 def _numbers(row: Row) -> tuple[float, ...]:

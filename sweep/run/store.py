@@ -70,9 +70,9 @@ class Folder:
 
     def _pack(self) -> None:
         number = self._numbers[-1] + 1 if self._numbers else 0
-        found = ((key, shards.read(self.path, key)) for key in self._loose)
+        found = ((key, shards.parts_of(self.path, key)) for key in self._loose)
         with shards.there(self.path):
-            self._fresh.append(packs.write(self.path, number, ((key, kept) for key, kept in found if kept is not None)))
+            self._fresh.append(packs.write(self.path, number, ((key, parts) for key, parts in found if parts)))
             for key in self._loose:
                 (self.path / key).unlink(missing_ok=True)
         self._numbers.append(number)

@@ -19,12 +19,12 @@ import numpy as np
 from ...plant.protocol import Job, NotSettled, PhasorPlant, Plant, Window
 from ...plant.registry import PlantCard, releases_gil
 from ..measure.loadflow import reached
-from ..measure.measure import measure
+from ..measure.measure import measure, measure_together
 from ..measure.rows import Row
 from ..measure.tones import RUN_BLOCKS
 from ..plan import EXPECTED_WINDOWS, SETTLE_S, Batch, Plan
 from .host import DEFAULT_TIMEOUT_S, host_at_hand
-from .workers import Workers, together
+from .workers import FEW, TOGETHER, Workers, together
 
 PROBE_JOBS = 8
 PROBE_BLOCKS = 4
@@ -47,8 +47,8 @@ START_S = 0.45
 START_PROCESSES_S = 1.4
 """The same where workers are processes."""
 
-TABLE_S, ROW_S = 0.05, 1e-4
-"""Opening and closing the table; keeping a row and writing it."""
+TABLE_S, BATCH_S, ROW_S = 0.05, 1e-3, 2.5e-5
+"""Opening and closing the table; keeping a batch and putting it into the table, and each of its rows."""
 
 TURNS = 0.1
 """What each further thread costs: it waits for its turn in Python."""
@@ -91,15 +91,15 @@ def wall_time_s(plan: Plan, plant: Plant | PlantCard, jobs: int) -> float:
     ChildFailed
         If a plant in a child crashes, hangs or raises.
     """
-    cost, batches = _cost(plan, plant), list(plan.batches())
+    cost, of_first = _cost(plan, plant), plan.batches_at(plan.conditions[0])
+    n_batches = len(of_first) * len(plan.conditions)
     threads = Workers(jobs, None, None).backend_for(plan, plant) == "threading"
-    n_together = together(len(batches), jobs) if threads and cost.lanes > 1 and releases_gil(plant) else 1
-    of_first = [batch for batch in batches if batch.condition is plan.conditions[0]]
+    n_together = together(n_batches, jobs) if threads and cost.lanes > 1 and releases_gil(plant) else 1
     work_s = [n_together * _work_s(plan, batch, cost, n_together) for batch in of_first]
     all_s = sum(work_s) / n_together * len(plan.conditions)
     shared_s = all_s / jobs * (1.0 + TURNS * (jobs - 1) * threads)
     start_s = START_S if threads else START_PROCESSES_S
-    table_s = TABLE_S + ROW_S * len(plan.points) * len(plan.conditions)
+    table_s = TABLE_S + BATCH_S * n_batches + ROW_S * len(plan.points) * len(plan.conditions)
     return start_s + table_s + max(max(work_s), shared_s)
 
 
@@ -159,14 +159,34 @@ def _found(plan: Plan, plant: Plant) -> Cost:
     lanes = PROBE_JOBS if isinstance(plant, PhasorPlant) and plan.signal is None else 1
     block_s, call_s = (_block_s(plan, plant, state), 0.0) if plan.signal is None else _of_plays(plan, plant, state)
     untried = Cost(block_s, lanes, 0.0, settled_s + CALLS * call_s, {})
-    of_first = [plan.batch(plan.conditions[0], group) for group in plan.groups()]
+    of_first = plan.batches_at(plan.conditions[0])
     asked = list({batch.key: batch for batch in (of_first[-1], of_first[0])}.values())
     for n in (len(asked), 1):
         promised_s = [_work_s(plan, batch, untried, 1) for batch in asked[:n]]
         if sum(promised_s) <= PATIENCE_S:
             taken = [_taken(plant, *each) for each in zip(asked[:n], promised_s, strict=True)]
-            return _tried(plan, asked[:n], taken, untried)
+            cost = _tried(plan, asked[:n], taken, untried)
+            return _in_company(plan, plant, of_first[0], cost) if _has_company(plan, of_first, cost) else cost
     return untried
+
+
+def _has_company(plan: Plan, of_first: Sequence[Batch], cost: Cost) -> bool:
+    """Whether batches of several operating points are measured together, of which all are alike."""
+    return cost.lanes > 1 and len(of_first) == 1 and len(plan.conditions) >= TOGETHER * FEW
+
+
+def _in_company(plan: Plan, plant: Plant, batch: Batch, alone: Cost) -> Cost:
+    """The cost after a few such batches were measured together: their rounds are the same, and cost once.
+
+    What a batch by itself takes beside stepping holds all its rounds.
+    """
+    blocks_of = _blocks(batch, alone.rest_s)
+    stepping_s = alone.block_s * RUN_BLOCKS * _runs(blocks_of, alone.lanes, TOGETHER)
+    begin = time.perf_counter()
+    measure_together(plant, [batch] * TOGETHER)
+    beside_s = time.perf_counter() - begin - stepping_s
+    each_s = min(max(0.0, (beside_s - alone.beside_s) / (TOGETHER - 1)), alone.beside_s)
+    return alone._replace(round_s=(alone.beside_s - each_s) / _rounds(blocks_of), beside_s=each_s)
 
 
 def _tried(plan: Plan, batches: Sequence[Batch], taken: Sequence[tuple[float, Sequence[Row]]], untried: Cost) -> Cost:

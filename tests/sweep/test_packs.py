@@ -73,6 +73,13 @@ def stopped(asked, output, after):
     return shards.folder_of(output)
 
 
+def packed(folder, results):
+    """Some results as shards, and these in the pack 0."""
+    for key, result in results:
+        shards.write(folder, key, result)
+    return packs.write(folder, 0, [(key, shards.parts_of(folder, key)) for key, _ in results])
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_packed_or_not_the_table_is_the_same(tmp_path, asked, undisturbed, counted, jobs):
     output = tmp_path / "y.parquet"
@@ -142,7 +149,7 @@ def test_a_damaged_shard_in_a_pack_is_measured_again_alone(tmp_path, asked, undi
 def test_no_flipped_bit_in_a_pack_goes_unnoticed(tmp_path, asked):
     plan, plant = asked
     results = [(batch.key, measure(plant, batch)) for batch in plan.batches_at(plan.conditions[0])]
-    places = packs.write(tmp_path, 0, results)
+    places = packed(tmp_path, results)
     path, dice = packs.path_of(tmp_path, 0), random.Random(7)
     whole = path.read_bytes()
     sound = [packs.read(tmp_path, place) for place in packs.places(tmp_path, 0)]
@@ -160,7 +167,7 @@ def test_a_batch_without_numbers_is_packed_word_for_word(tmp_path, asked):
     plan, _ = asked
     batch = next(plan.batches())
     failed = failed_batch(batch, "failed", 'the box said: "näh"\t\n and went')
-    (place,) = packs.write(tmp_path, 0, [(batch.key, failed)])
+    (place,) = packed(tmp_path, [(batch.key, failed)])
     assert repr(packs.read(tmp_path, place)) == repr(failed)
 
 
