@@ -152,7 +152,8 @@ def _noise_root(problem: Problem, linear: Linear, directions: np.ndarray) -> np.
         noise = _noise_of_table(problem.noise, linear, by_row)
     spread = np.tensordot(by_row, noise @ by_row, axes=([0, 1], [0, 1]))
     variance, axes = np.linalg.eigh(spread)
-    return axes * np.sqrt(np.maximum(variance, (1e-3 * problem.floor) ** 2))
+    root = axes * np.sqrt(np.maximum(variance, (1e-3 * problem.floor) ** 2))
+    return np.asarray(root @ axes.T)  # unique: the eigenvectors of even noise are anyone's
 
 
 def _noise_of_table(noise: np.ndarray, linear: Linear, by_row: np.ndarray) -> np.ndarray:

@@ -82,6 +82,11 @@ def bic_of(problem: Problem, cost: float, n_poles: int, tail: int) -> float:
     return n * float(np.log(cost / n + problem.floor**2)) + parameters * float(np.log(n))
 
 
+def charge_of_parameter(problem: Problem) -> float:
+    """What `bic_of` charges for one of a pole's real parameters, in variances of a weighted datum."""
+    return (_SEARCHED + ELEMENTS) / (1 + ELEMENTS) * float(np.log(2 * problem.y.size))
+
+
 def floor_cost(problem: Problem) -> float:
     """Sum of squares of a misfit at the noise floor."""
     return 2 * problem.y.size * problem.floor**2

@@ -10,11 +10,15 @@ is the model, and beside it a sum of terms of unknown size:
   (sum R_i d_i)/(s - p)^2, and the second matrix need not be a multiple of the first, as it is where one pole moves.
 
 Sizes are normal about zero with one variance for each of the two kinds, relative to Y (a Gaussian process beside the
-model: M. C. Kennedy, A. O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63, 2001). The
-variances are not known either. Every pair of them on a logarithmic grid counts as much as the misfit makes it likely
-(restricted likelihood: what the fit has taken is left aside), so that rows which show nothing beyond noise still leave
-room for what noise hides. What the model errs by is the second moment of these terms about zero, as the model itself
-stays without them, and what they do to its parameters.
+model: M. C. Kennedy, A. O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63, 2001). Or nothing is
+left that would have paid for a parameter of its own, for the order was chosen so: then the effect of a direction that
+the rows see sharply is bounded by that charge, while many others may hold as much. Without the bound the few sharp
+ones, in which nothing is found, would say that there is nothing in the others.
+
+The variances are not known either. Every pair of them on a logarithmic grid, with and without the bound, counts as much
+as the misfit makes it likely (restricted likelihood: what the fit has taken is left aside), so that rows which show
+nothing beyond noise still leave room for what noise hides. What the model errs by is the second moment of these terms
+about zero, as the model itself stays without them, and what they do to its parameters.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .dq_data import ELEMENTS
-from .least_squares import Linear, Problem, Trial, block_diagonal, freedom_of, stacked
+from .least_squares import Linear, Problem, Trial, block_diagonal, charge_of_parameter, freedom_of, stacked
 from .rational import Omitted, omitted_basis
 
 _PLACES = 8  # pairs over the band
@@ -32,6 +36,7 @@ _DAMPING = 0.5  # of each
 _LOWEST = 3e-3  # the first pair's place, in bands, where rows are as near to f1
 _BAND = 1.5  # poles of the model further out than so many bands are not split
 _SIZES = np.geomspace(1e-2, 1e6, 25)  # variance of the sizes against that of noise, in the sharpest direction
+_WITHIN = 1e4  # with the bound, sizes up to this: where all directions are at it the misfit says no more of sizes
 _RATIOS = (0.3, 1.0, 3.0, 10.0)  # size of split poles, in that of missing modes
 _REGULAR = 1e-10  # directions of the sizes that the misfit shows less of, in the largest, are not seen
 
@@ -81,7 +86,8 @@ def beside_the_model(
     shown = np.einsum("enj,en->ej", columns, left).ravel()
     freedom = max(freedom_of(trial, linear), ELEMENTS)
     is_split = np.tile(np.arange(len(scale)) >= 2 * len(terms.poles), ELEMENTS)
-    root = _sizes(gram, shown, is_split, linear.cost, freedom)
+    most = charge_of_parameter(problem) / 3.0  # the variance of an effect that is anywhere up to its charge
+    root = _sizes(gram, shown, is_split, linear.cost, freedom, most)
     return terms._replace(by_fit=response @ (taken @ root), coefficients=-np.tile(scale, ELEMENTS)[:, None] * root)
 
 
@@ -92,19 +98,22 @@ def _places(problem: Problem) -> np.ndarray:
     return sizes * complex(-_DAMPING, (1.0 - _DAMPING**2) ** 0.5)
 
 
-def _sizes(gram: np.ndarray, shown: np.ndarray, is_split: np.ndarray, cost: float, freedom: int) -> np.ndarray:
+def _sizes(
+    gram: np.ndarray, shown: np.ndarray, is_split: np.ndarray, cost: float, freedom: int, most: float
+) -> np.ndarray:
     """Root (q, q) of the second moment of the terms' sizes about zero, over all ratios of the two kinds."""
     roots, chances = [], []
     for ratio in _RATIOS:
         unit = np.where(is_split, ratio, 1.0)
         seen = _seen(unit[:, None] * gram * unit, unit * shown, cost, freedom)
-        root, chance = _second_moment(seen)
+        root, chance = _second_moment(seen, most)
         roots.append(unit[:, None] * (seen.axes @ root))
         chances.append(chance)
     share = np.exp(np.array(chances) - max(chances))
     share = np.sqrt(share / np.sum(share))
     every = np.concatenate([part * root for part, root in zip(share, roots, strict=True)], axis=1)
-    return np.asarray(np.linalg.qr(every.T, mode="r")).T
+    triangle = np.asarray(np.linalg.qr(every.T, mode="r"))
+    return np.asarray(np.where(np.diag(triangle) < 0.0, -1.0, 1.0) * triangle.T)  # unique, whatever the eigenvectors
 
 
 def _seen(gram: np.ndarray, shown: np.ndarray, cost: float, freedom: int) -> _Seen:
@@ -116,9 +125,13 @@ def _seen(gram: np.ndarray, shown: np.ndarray, cost: float, freedom: int) -> _Se
     return _Seen(axes, effect, found, max(cost - float(found @ found), _REGULAR * cost), freedom)
 
 
-def _second_moment(seen: _Seen) -> tuple[np.ndarray, float]:
-    """Root (j, j) of the sizes' second moment about zero, along directions of unit effect, and the log likelihood."""
-    damped = 1.0 + (_SIZES / seen.effect[-1])[:, None] * seen.effect
+def _second_moment(seen: _Seen, most: float) -> tuple[np.ndarray, float]:
+    """Root (j, j) of the sizes' second moment about zero, along directions of unit effect, and the log likelihood.
+
+    An effect may have any variance, in that of noise, or none above ``most``.
+    """
+    free = (_SIZES / seen.effect[-1])[:, None] * seen.effect
+    damped = 1.0 + np.concatenate([free, (free / (1.0 + free / most))[_SIZES <= _WITHIN]])
     variance = (seen.rest + np.sum(seen.found**2 / damped, axis=1)) / seen.freedom
     chance = -0.5 * (seen.freedom * np.log(variance) + np.sum(np.log(damped), axis=1))
     share = np.exp(chance - chance.max())
