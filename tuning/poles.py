@@ -41,6 +41,8 @@ _KNOWN = 0.2  # a mode whose place is known no better than to this part of itsel
 _DAMPED = 0.5  # nor one whose damping is not known to a factor of two
 _NEAR_AXIS = 0.02  # unless it is as sure to be next to undamped: to this part of itself
 _SEVERAL = 2  # oscillating modes in a gap of the rows that may stand for more
+_OF_ROW = 8  # real numbers of a row
+_OF_PAIR, _OF_SINGULAR_PAIR = 10, 8  # real parameters of an oscillating pole and its residue of rank two, or one
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
 
 
@@ -80,7 +82,7 @@ class ClosedLoop:
         damped by more than a tenth the one with the largest real part; an unstable one if there is one; None if there
         is none.
     leading : int or None
-        The same, whether rows surround it or not: a mode that they do not surround is not named, but may decide.
+        The same, whether rows surround it and tell it or not: a mode that they do not is not named, but may decide.
     withheld : int or None
         Index of a mode that would be the resonance, but is not named beside the verdict that the loop got.
     hole : Hole
@@ -144,9 +146,9 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     hole = hole_of(model, grid, upper)
     beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
     carried = ~beyond & _carried(model, grid.shadows, upper, covariance)
-    swept = np.array([is_swept(model, complex(pole)) for pole in upper], dtype=bool)
+    shown = np.array([is_swept(model, complex(pole)) and _is_told(model, complex(pole)) for pole in upper], dtype=bool)
     grows = upper.real > SURELY * np.sqrt(covariance[:, 0, 0])
-    critical, leading = (_resonance(model, upper, ~beyond, named, grows) for named in (carried & swept, carried))
+    critical, leading = (_resonance(model, upper, ~beyond, named, grows) for named in (carried & shown, carried))
     return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, leading, hole)
 
 
@@ -215,6 +217,25 @@ def is_swept(model: RationalModel, pole: complex) -> bool:
         return False
     above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
     return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
+
+
+def _is_told(model: RationalModel, pole: complex) -> bool:
+    """Whether the rows around a mode have as many numbers as the device's own oscillating poles there have parameters.
+
+    Around it are the rows next to it, and all within its width. Poles that ask them for more are held up by rows
+    further away, which tell of such poles together and not of each: the grid's answer to one of them is the fit's
+    invention. Rows without noise tell it however far away.
+    """
+    if model.omitted is None:
+        return True
+    rows = np.concatenate([-model.nu_hz[::-1], model.nu_hz])
+    nu, width = abs(pole.imag) / (2.0 * np.pi), abs(pole.real) / (2.0 * np.pi)
+    above = int(np.clip(np.searchsorted(rows, nu), 1, len(rows) - 1))
+    low, high = min(rows[above - 1], nu - width), max(rows[above], nu + width)
+    own = model.poles.imag / (2.0 * np.pi)
+    among = (own > 0.0) & (own >= low) & (own <= high)
+    parameters = np.sum(np.where(model.ranks[among] > 1, _OF_PAIR, _OF_SINGULAR_PAIR))
+    return bool(parameters <= _OF_ROW * np.sum((rows >= low) & (rows <= high)))
 
 
 def crowded(model: RationalModel, hole: Hole) -> np.ndarray:

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from seqsweep.identify.fit.model import fit_response
+from seqsweep.identify.fit.rational import Omitted
 from seqsweep.identify.frames import dq_to_pn
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.feeding import Hole
 from seqsweep.tuning.objections import Ruling
-from seqsweep.tuning.poles import ClosedLoop, _resonance, closed_loop, crowded
+from seqsweep.tuning.poles import ClosedLoop, _is_told, _resonance, closed_loop, crowded
 from seqsweep.tuning.result import why_no_resonance
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune_point
@@ -110,3 +111,29 @@ def test_several_narrow_modes_in_a_gap_of_the_rows_crowd_it() -> None:
     assert gaps(-0.6 + 10j, -0.9 + 19j) == [0]
     assert gaps(-1.0 + 200j, -2.0 + 300j) == [30]
     assert gaps(-1.0 + 200j, -0.6 + 80j, -2.0 + 900j) == []
+
+
+@pytest.mark.parametrize(
+    ("ranks", "rows_hz", "noisy", "is_told"),
+    [
+        ((2, 2), [770.0, 950.0], True, False),  # twenty parameters of two poles, sixteen numbers of two rows
+        ((1, 1), [770.0, 950.0], True, True),
+        ((2, 1), [770.0, 950.0], True, False),
+        ((2, 2), [770.0, 890.0, 950.0], True, True),  # the third is within the mode's width
+        ((2, 2), [770.0, 950.0], False, True),  # exact rows tell it from afar
+    ],
+)
+def test_a_mode_among_more_poles_than_its_rows_tell_is_not_named(
+    ranks: tuple[int, int], rows_hz: list[float], noisy: bool, is_told: bool
+) -> None:
+    """A grid turned the place of two device's poles at the end of the rows into a mode that was none."""
+    own = 2j * np.pi * np.array([860.0, 930.0]) - 500.0
+    exact = fit_response(response([-2.0 + 150j], np.geomspace(0.5, 900.0, 40)))
+    model = replace(
+        exact,
+        poles=np.concatenate([own, own.conj()]),
+        ranks=np.array([*ranks, *ranks]),
+        nu_hz=np.concatenate([np.geomspace(5.0, 630.0, 20), rows_hz]),
+        omitted=Omitted(*np.zeros((4, 0))) if noisy else None,
+    )
+    assert _is_told(model, -500.0 + 2j * np.pi * 848.0) is is_told
