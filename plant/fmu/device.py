@@ -98,14 +98,12 @@ class FmuBox:
         from ..kernels import fmi
 
         u, y = np.ascontiguousarray(u, float), np.empty((len(u), self._terminals.n_currents))
-        instance = self._instance
-        (step, block), told, given = instance.addresses, instance.inputs.cells, instance.outputs.cells
-        done = fmi.advance(
-            step, block, instance.time, self._step, self._dt_s, told.view(float), given.view(float), u, y
-        )
-        self._step += int(done)
+        instance, done = self._instance, np.zeros(1, np.int64)
+        (step, block), told, given = map(int, instance.addresses), instance.inputs.cells, instance.outputs.cells
+        fmi.advance(step, block, instance.time, self._step, self._dt_s, told.view(float), given.view(float), u, y, done)
+        self._step += int(done[0])
         instance.check()
-        if done < len(u):
+        if done[0] < len(u):
             raise instance.failure()
         return y
 

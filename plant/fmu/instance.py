@@ -137,7 +137,7 @@ class Instance:
         times = self._block.view(np.float64)
         times[fmi.STEP_SIZE] = model.dt_s
         self.time = times[fmi.TIME : fmi.TIME + 1]
-        self.addresses = np.array([fmi.STEPS[model.version], self._block.ctypes.data], np.int64)
+        self.addresses = np.array([fmi.step_of(model.version), self._block.ctypes.data], np.int64)
 
     def start(self, before: Sequence[Setting] = (), within: Sequence[Setting] = ()) -> None:
         """Begin at time zero with the start values of the model, and more set ``before`` and ``within`` initialization.
@@ -230,5 +230,7 @@ def warm() -> None:
     from ..kernels import fmi
 
     nothing = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(lambda argument: 0)
-    address, none = np.int64(ctypes.cast(nothing, ctypes.c_void_p).value or 0), np.zeros(0)
-    fmi.advance(address, np.int64(0), np.zeros(1), 0, 1.0, none, none, np.zeros((1, 0)), np.zeros((1, 0)))
+    address, none = ctypes.cast(nothing, ctypes.c_void_p).value or 0, np.zeros(0)
+    fmi.advance(address, 0, np.zeros(1), 0, 1.0, none, none, np.zeros((1, 0)), np.zeros((1, 0)), np.zeros(1, np.int64))
+    for version in VERSIONS:
+        fmi.step_of(version)

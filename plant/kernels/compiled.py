@@ -289,7 +289,7 @@ class _Loaded:
     """A kernel's machine code, called by ctypes: it lets go of the interpreter while it runs."""
 
     def __init__(self, address: int, letters: str):
-        self._address, self._letters = address, letters
+        self.address, self._letters = address, letters
         self._taken = (_CTYPES["p"], _CTYPES["p"], *(_CTYPES[letter] for letter in letters))
         self._function = ctypes.CFUNCTYPE(ctypes.c_int32, *self._taken)(address)
         self._unused = (ctypes.c_void_p * 2)()  # where an answer and an error would go
@@ -306,20 +306,49 @@ class _Loaded:
         for at, stride in strides.items():
             moves[sum(sizes[:at]) + _DATA] = stride
         pointers = [move for move, letter in zip(moves, self._letters, strict=True) if letter == "p"]
-        _check(self._loop(self._address, n, *pointers, *self._outcome, *values))
+        _check(self._loop(self.address, n, *pointers, *self._outcome, *values))
 
     @functools.cached_property
     def _loop(self) -> Any:
         """A function of the code's address, the number of calls, bytes to move each pointer by, and the arguments."""
-        import llvmlite.binding as llvm
-
-        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(_loop_text(self._letters)), machine)
-        engine.finalize_object()
-        _engines.append(engine)
+        engine = _linked(_loop_text(self._letters))
         moves = (ctypes.c_int64,) * self._letters.count("p")
         kind = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int64, *moves, *self._taken)
         return kind(engine.get_function_address("loop"))
+
+
+def callback(kernel: Kernel, cell: int) -> int:
+    """Address of an int32 function of an address, for whatever calls functions by address.
+
+    It calls the kernel with that address, and gives what then stands in the cell of that number, of 8 bytes each.
+    """
+    code = kernel._code((0,))
+    if not isinstance(code, _Loaded):
+        raise SystemError(f"{kernel.py_func.__name__} needs the interpreter: it cannot be called by its address")
+    engine = _linked(f"""
+define i32 @callback(i64 %block) {{
+  %room = alloca [2 x ptr]
+  %code = inttoptr i64 {code.address} to ptr
+  %status = call i32 %code(ptr %room, ptr %room, i64 %block)
+  %place = add i64 %block, {8 * cell}
+  %cell = inttoptr i64 %place to ptr
+  %found = load i64, ptr %cell
+  %answer = trunc i64 %found to i32
+  ret i32 %answer
+}}
+""")
+    return int(engine.get_function_address("callback"))
+
+
+def _linked(text: str) -> Any:
+    """The engine that holds the code of LLVM's text."""
+    import llvmlite.binding as llvm
+
+    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(text), machine)
+    engine.finalize_object()
+    _engines.append(engine)
+    return engine
 
 
 def _check(status: int) -> None:

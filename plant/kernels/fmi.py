@@ -1,19 +1,15 @@
 """An FMU for co-simulation, stepped through the addresses of its functions.
 
 A `block` of numbers holds all that a step needs: addresses of the functions, value references and values, time and
-step. A step is then a function of the block's address, `STEPS[2]` for FMI 2.0, `STEPS[3]` for FMI 3.0, that whatever
-calls functions by address can call: the loop in here, or a circuit with the FMU in it.
+step. A step is then a function of the block's address, `step_of(2)` for FMI 2.0, `step_of(3)` for FMI 3.0, that
+whatever calls functions by address can call: the loop in here, or a circuit with the FMU in it.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import functools
 
-import numpy as np
-from llvmlite import ir
-from numba import carray, cfunc, extending, njit, types
-
-_intrinsic: Any = extending.intrinsic  # its annotations have the typing context among the arguments
+from .compiled import callback, intrinsic, njit
 
 WARNING = 1
 """Statuses up to this one let a step go on."""
@@ -35,74 +31,95 @@ MOST_GROUPS = 20
 N_CELLS = _GROUPS + GROUP_CELLS * MOST_GROUPS
 
 
-_INT, _LONG, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
+def _calls(kinds):
+    """What an intrinsic gives that calls an address, an int32 function of ``kinds``: i int64, w int32, f double."""
+    from llvmlite import ir
+    from numba import types
+    from numba.core.typing import signature
+
+    low = {"i": ir.IntType(64), "w": ir.IntType(32), "f": ir.DoubleType()}
+    high = {"i": types.int64, "w": types.int32, "f": types.float64}
+
+    def code(context, builder, called, arguments):
+        prototype = ir.FunctionType(low["w"], [low[kind] for kind in kinds])
+        return builder.call(builder.inttoptr(arguments[0], prototype.as_pointer()), arguments[1:])
+
+    return signature(types.int32, types.int64, *(high[kind] for kind in kinds)), code
 
 
-def _call(builder, kinds, arguments):
-    """Call what is at the first of ``arguments`` with the others, as an int32 function of ``kinds``."""
-    function = builder.inttoptr(arguments[0], ir.FunctionType(_INT, kinds).as_pointer())
-    return builder.call(function, arguments[1:])
-
-
-@_intrinsic
-def _called(typingctx, function, argument):
+@intrinsic
+def _called(typing_context, function, argument):
     """``function(argument)``, both addresses: an int32."""
-
-    def codegen(context, builder, signature, arguments):
-        return _call(builder, [_LONG], arguments)
-
-    return types.int32(types.int64, types.int64), codegen
+    return _calls("i")
 
 
-@_intrinsic
-def _values_2(typingctx, function, instance, references, n, values):
+@intrinsic
+def _values_2(typing_context, function, instance, references, n, values):
     """``fmi2SetReal(instance, references, n, values)`` and its like; all but n are addresses."""
-
-    def codegen(context, builder, signature, arguments):
-        return _call(builder, [_LONG] * 4, arguments)
-
-    return types.int32(*[types.int64] * 5), codegen
+    return _calls("iiii")
 
 
-@_intrinsic
-def _values_3(typingctx, function, instance, references, n, values, n_values):
+@intrinsic
+def _values_3(typing_context, function, instance, references, n, values, n_values):
     """``fmi3SetFloat64(instance, references, n, values, n_values)`` and its like."""
-
-    def codegen(context, builder, signature, arguments):
-        return _call(builder, [_LONG] * 5, arguments)
-
-    return types.int32(*[types.int64] * 6), codegen
+    return _calls("iiiii")
 
 
-@_intrinsic
-def _do_step_2(typingctx, function, instance, time_s, step_s, no_way_back):
+@intrinsic
+def _do_step_2(typing_context, function, instance, time_s, step_s, no_way_back):
     """``fmi2DoStep(instance, time, step, noSetFMUStatePriorToCurrentPoint)``."""
-
-    def codegen(context, builder, signature, arguments):
-        return _call(builder, [_LONG, _DOUBLE, _DOUBLE, _INT], arguments)
-
-    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int32), codegen
+    return _calls("iffw")
 
 
-@_intrinsic
-def _do_step_3(typingctx, function, instance, time_s, step_s, no_way_back, event, terminate, early, last):
+@intrinsic
+def _do_step_3(typing_context, function, instance, time_s, step_s, no_way_back, event, terminate, early, last):
     """``fmi3DoStep``; the last four are the addresses of what it answers."""
-
-    def codegen(context, builder, signature, arguments):
-        return _call(builder, [_LONG, _DOUBLE, _DOUBLE, _INT, *[_LONG] * 4], arguments)
-
-    inputs = [types.int64, types.int64, types.float64, types.float64, types.int32, *[types.int64] * 4]
-    return types.int32(*inputs), codegen
+    return _calls("iffwiiii")
 
 
-@_intrinsic
-def _pointer(typingctx, address):
-    """``address`` as a pointer to memory."""
+def _at(context, builder, address, cell, kind):
+    """A pointer to a cell of a block."""
+    from llvmlite import ir
 
-    def codegen(context, builder, signature, arguments):
-        return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+    place = builder.add(address, builder.mul(cell, ir.IntType(64)(8)))
+    return builder.inttoptr(place, context.get_value_type(kind).as_pointer())
 
-    return types.voidptr(types.int64), codegen
+
+@intrinsic
+def _whole(typing_context, block, cell):
+    """The integer in a cell of the block at an address."""
+    from numba import types
+
+    def code(context, builder, signature, arguments):
+        address, place = arguments
+        return builder.load(_at(context, builder, address, place, types.int64))
+
+    return types.int64(types.int64, types.int64), code
+
+
+@intrinsic
+def _number(typing_context, block, cell):
+    """The double in a cell of the block at an address."""
+    from numba import types
+
+    def code(context, builder, signature, arguments):
+        address, place = arguments
+        return builder.load(_at(context, builder, address, place, types.float64))
+
+    return types.float64(types.int64, types.int64), code
+
+
+@intrinsic
+def _put(typing_context, block, cell, value):
+    """Put an integer into a cell of the block at an address."""
+    from numba import types
+
+    def code(context, builder, signature, arguments):
+        address, place, whole = arguments
+        builder.store(whole, _at(context, builder, address, place, types.int64))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), code
 
 
 def group(k):
@@ -111,76 +128,93 @@ def group(k):
     return slice(first, first + GROUP_CELLS)
 
 
-@njit(inline="always")
-def _ended(block, where, status):
-    block[WHERE], block[STATUS] = where, status
-    return np.int32(status)
+@njit(forceinline=True)
+def _end(block, where, status):
+    """Where a step ended, and how: the outcome of its function."""
+    _put(block, WHERE, where)
+    _put(block, STATUS, status)
 
 
-@cfunc(types.int32(types.int64), cache=True)
-def _step_2(address):
-    block, times = carray(_pointer(address), N_CELLS, np.int64), carray(_pointer(address), N_CELLS, np.float64)
-    instance, n_sets, n_groups = block[INSTANCE], block[N_SETS], block[N_SETS] + block[N_GETS]
-    for k in range(n_sets):
-        g = _GROUPS + GROUP_CELLS * k
-        status = _values_2(block[g], instance, block[g + 1], block[g + 2], block[g + 3])
-        if status > WARNING:
-            return _ended(block, k, status)
-    status = _do_step_2(block[DO_STEP], instance, times[TIME], times[STEP_SIZE], np.int32(block[NO_WAY_BACK]))
-    if status > WARNING:
-        return _ended(block, STEP, status)
-    for k in range(n_sets, n_groups):
-        g = _GROUPS + GROUP_CELLS * k
-        status = _values_2(block[g], instance, block[g + 1], block[g + 2], block[g + 3])
-        if status > WARNING:
-            return _ended(block, k, status)
-    return np.int32(0)
-
-
-@cfunc(types.int32(types.int64), cache=True)
-def _step_3(address):
-    block, times = carray(_pointer(address), N_CELLS, np.int64), carray(_pointer(address), N_CELLS, np.float64)
-    instance, n_sets, n_groups = block[INSTANCE], block[N_SETS], block[N_SETS] + block[N_GETS]
-    for k in range(n_sets):
-        g = _GROUPS + GROUP_CELLS * k
-        status = _values_3(block[g], instance, block[g + 1], block[g + 2], block[g + 3], block[g + 4])
-        if status > WARNING:
-            return _ended(block, k, status)
-    block[FLAGS] = 0
-    flags, last = address + 8 * FLAGS, address + 8 * _LAST_TIME
-    no_way_back = np.int32(block[NO_WAY_BACK])
-    status = _do_step_3(
-        block[DO_STEP], instance, times[TIME], times[STEP_SIZE], no_way_back, flags, flags + 1, flags + 2, last
+@njit(forceinline=True)
+def _group_2(block, k):
+    """The outcome of setting or getting the group number ``k``."""
+    g = _GROUPS + GROUP_CELLS * k
+    return _values_2(
+        _whole(block, g), _whole(block, INSTANCE), _whole(block, g + 1), _whole(block, g + 2), _whole(block, g + 3)
     )
-    if status > WARNING:
-        return _ended(block, STEP, status)
-    if block[FLAGS] & 0xFF00:  # the second byte: terminateSimulation
-        return _ended(block, END_ASKED, WARNING + 1)
-    for k in range(n_sets, n_groups):
-        g = _GROUPS + GROUP_CELLS * k
-        status = _values_3(block[g], instance, block[g + 1], block[g + 2], block[g + 3], block[g + 4])
-        if status > WARNING:
-            return _ended(block, k, status)
-    return np.int32(0)
 
 
-STEPS = {2: _step_2.address, 3: _step_3.address}
-"""Addresses of the steps, by the major version of the standard: int32 functions of a block's address."""
+@njit(forceinline=True)
+def _group_3(block, k):
+    g = _GROUPS + GROUP_CELLS * k
+    function, references, n = _whole(block, g), _whole(block, g + 1), _whole(block, g + 2)
+    return _values_3(function, _whole(block, INSTANCE), references, n, _whole(block, g + 3), _whole(block, g + 4))
 
 
 @njit(nogil=True, cache=True)
-def advance(step, block, time, first_step, dt_s, inputs, outputs, u, y):
+def _step_2(block):
+    """Set, step and get, with the outcome in the block."""
+    n_sets = _whole(block, N_SETS)
+    for k in range(n_sets):
+        status = _group_2(block, k)
+        if status > WARNING:
+            return _end(block, k, status)
+    way_back, time_s, step_s = _whole(block, NO_WAY_BACK), _number(block, TIME), _number(block, STEP_SIZE)
+    status = _do_step_2(_whole(block, DO_STEP), _whole(block, INSTANCE), time_s, step_s, way_back)
+    if status > WARNING:
+        return _end(block, STEP, status)
+    for k in range(n_sets, n_sets + _whole(block, N_GETS)):
+        status = _group_2(block, k)
+        if status > WARNING:
+            return _end(block, k, status)
+    _put(block, STATUS, 0)
+
+
+@njit(nogil=True, cache=True)
+def _step_3(block):
+    """`_step_2` of the other version."""
+    n_sets = _whole(block, N_SETS)
+    for k in range(n_sets):
+        status = _group_3(block, k)
+        if status > WARNING:
+            return _end(block, k, status)
+    _put(block, FLAGS, 0)
+    flags, last = block + 8 * FLAGS, block + 8 * _LAST_TIME
+    way_back, time_s, step_s = _whole(block, NO_WAY_BACK), _number(block, TIME), _number(block, STEP_SIZE)
+    do_step, instance = _whole(block, DO_STEP), _whole(block, INSTANCE)
+    status = _do_step_3(do_step, instance, time_s, step_s, way_back, flags, flags + 1, flags + 2, last)
+    if status > WARNING:
+        return _end(block, STEP, status)
+    if _whole(block, FLAGS) & 0xFF00:  # the second byte: terminateSimulation
+        return _end(block, END_ASKED, WARNING + 1)
+    for k in range(n_sets, n_sets + _whole(block, N_GETS)):
+        status = _group_3(block, k)
+        if status > WARNING:
+            return _end(block, k, status)
+    _put(block, STATUS, 0)
+
+
+@functools.cache
+def step_of(version):
+    """Address of the step of a major version of the standard: an int32 function of a block's address."""
+    return callback({2: _step_2, 3: _step_3}[version], STATUS)
+
+
+@njit(nogil=True, cache=True)
+def advance(step, block, time, first_step, dt_s, inputs, outputs, u, y, done):
     """Put a row of ``u`` into ``inputs``, step, and take a row of ``y`` from ``outputs``, as often as there are rows.
 
-    ``step`` is one of `STEPS`, ``block`` the address of its block; ``time``, ``inputs`` and ``outputs`` are memory
-    (float) to which the block points. Returns the rows done; where these are fewer, the block says what ended it.
+    ``step`` is what `step_of` gives, ``block`` the address of its block; ``time``, ``inputs`` and ``outputs`` are
+    memory (float) to which the block points. ``done`` (1,) receives the rows done; where these are fewer, the block
+    says what ended it.
     """
+    done[0] = 0
     for k in range(len(u)):
         time[0] = (first_step + k) * dt_s
         for j in range(len(inputs)):
             inputs[j] = u[k, j]
         if _called(step, block) > WARNING:
-            return k
+            return
         for j in range(len(outputs)):
             y[k, j] = outputs[j]
-    return len(u)
+        done[0] = k + 1

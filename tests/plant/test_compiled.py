@@ -222,9 +222,13 @@ SEALED_CONTROLLER = """
 from seqsweep.plant.greybox.kernel_arguments import warm_up
 warm_up()
 """
+SEALED_DEVICE = """
+from seqsweep.plant.fmu.instance import warm
+warm()
+"""
 
 
-@pytest.mark.parametrize("work", [TURBINE, SEALED_CONTROLLER], ids=["turbine", "sealed controller"])
+@pytest.mark.parametrize("work", [TURBINE, SEALED_CONTROLLER, SEALED_DEVICE], ids=["turbine", "controller", "FMU"])
 def test_a_warm_process_does_without_numba(work):
     text = f'import sys\n{work}\nprint("numba" in sys.modules)'
     said = [subprocess.run([sys.executable, "-c", text], capture_output=True, text=True).stdout for _ in range(2)]
