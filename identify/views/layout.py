@@ -12,7 +12,7 @@ from matplotlib.ticker import LogFormatter, NullFormatter, NullLocator
 
 
 class Layout(ConstrainedLayoutEngine):
-    """Matplotlib's, to the same places in less than half the time."""
+    """Matplotlib's, to the same places in less time."""
 
     def execute(self, fig: Figure) -> None:
         """Give every pair of axes its place."""

@@ -2,7 +2,7 @@
 
 A kernel is made of some dozens of small functions that are inlined into it. Of these numba would make machine code
 too, which nobody calls, and for every sum in them it tries dozens of rules, of arrays, strings and sets as well. Here
-they stay intermediate code, and rules are asked for once: the same code in two thirds of the time.
+they stay intermediate code, and rules are asked for once: the same numbers in about three quarters of the time.
 """
 
 from __future__ import annotations
