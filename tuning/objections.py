@@ -197,6 +197,8 @@ def _mode_above(case: Case) -> str | None:
 def _judges_disagree(case: Case) -> str:
     """Poles, locus and rows have to count the same unstable modes."""
     by_poles, by_locus = case.loop.n_unstable, case.model.n_unstable - case.winding.number
+    if by_poles != by_locus and by_locus == case.by_rows == _unstable_anywhere(case.loop):
+        return ""
     if by_poles != by_locus:
         return f"locus and poles disagree ({case.turns}, {by_poles} unstable closed-loop poles)"
     if case.rows is None or case.by_rows is None or case.by_rows == by_poles or _is_exact(case.rows, case.model):
@@ -208,6 +210,12 @@ def _judges_disagree(case: Case) -> str:
         f"the rows, followed from one to the next, count {case.by_rows} unstable modes, the fit {by_poles}; they "
         f"differ most near {_place(case.model, at.nu_hz)}: measure more points there"
     )
+
+
+def _unstable_anywhere(loop: ClosedLoop) -> int:
+    """Poles in the right half-plane, also those that are not believed: a real one may be as wide as the band, and turn
+    the locus within it."""
+    return int(np.sum(loop.poles.real > 0.0) + np.sum((loop.poles.real > 0.0) & (loop.poles.imag > 0.0)))
 
 
 def _is_exact(rows: Rows, model: RationalModel) -> bool:
@@ -387,7 +395,8 @@ def _decisive(case: Case) -> list[int]:
     """Modes the verdict hangs on: the unstable ones, or the resonance and everything lightly damped."""
     loop = case.loop
     if not case.stable:
-        return [int(k) for k in np.flatnonzero((loop.poles.real > 0.0) & ~loop.beyond)]
+        grows = loop.poles.real > 0.0
+        return [int(k) for k in np.flatnonzero(grows if np.all(loop.beyond[grows]) else grows & ~loop.beyond)]
     within = loop.f_hz < EDGE * case.model.nu_hz[-1]
     light = np.flatnonzero((loop.damping < LIGHTLY_DAMPED) & within).tolist()
     return sorted({*light, *([] if loop.leading is None else [loop.leading])})

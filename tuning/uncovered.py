@@ -17,13 +17,14 @@ from .feeding import ACTIVE, LOUD, activity
 from .poles import ClosedLoop, is_swept, mode_weight
 from .rows import Rows
 from .siso import Grid
-from .unseen import DENSE
+from .unseen import DENSE, Unseen
 
 ALLOWANCE = 0.005
 """How likely a verdict is wrong for what its rows cannot show: a judgement. Counted: 18 of 2,494 verdicts on tables
 that do not cover the question, all but one for modes that no row shows at all (docs/how-often-wrong.md)."""
 
 _QUIET = 0.2  # loop gain below which an active device makes no loop oscillate, whatever its phase, with some to spare
+_FAINT = 0.1  # loop gain of all rows below which a mode between them matters only if it is ten times what they show
 _NEAR_HZ = 2.0  # rows that begin no further from f1 leave room for slow modes only, which the fit follows
 _FAR_HZ = 5.0  # rows that begin further away leave room for the loops of power, synchronisation and voltage
 _REACH_HZ = 500.0  # below this a converter's control and filter have modes, whatever it is where the rows end
@@ -66,6 +67,21 @@ def uncovered(seen: Seen, stable: bool) -> str:
     """
     questions = (_ends_early, _begins_far, _leaves_gaps, _tells_no_more, _is_near) if stable else (_is_vague,)
     return next((why for why in (ask(seen) for ask in (*questions, _is_counted_twice)) if why), "")
+
+
+def passed_over(seen: Seen, hidden: Unseen | None) -> str:
+    """Why a mode that may hide between the rows withholds no verdict, but its certainty; empty where it does.
+
+    Where the loop gain of all rows is that small, such a mode has to be ten times as large as all that they show.
+    """
+    nu_hz, y = seen.rows.data.nu_hz, seen.rows.data.y
+    if hidden is None or not hidden.is_shown or nu_hz[0] > _FAR_HZ or np.max(_gain(seen, nu_hz, y)) > _FAINT:
+        return ""
+    place = f"{seen.model.f1_hz - hidden.nu_hz:.4g}/{seen.model.f1_hz + hidden.nu_hz:.4g} Hz"
+    return (
+        f"the rows around {place} do not exclude a mode narrower than their distance, though the loop gain of all rows "
+        f"is below {_FAINT:g}: measure more points there"
+    )
 
 
 def stated(probability: float, why: str) -> float:

@@ -19,7 +19,7 @@ from .poles import LIGHT, ClosedLoop, closed_loop, crowded
 from .probability import doubt
 from .rows import Rows, wind_rows
 from .siso import Grid, check_fundamental, impedance_pn, siso
-from .uncovered import Seen, stated, uncovered
+from .uncovered import Seen, passed_over, stated, uncovered
 from .unseen import unseen
 from .winding import Winding, about, refine_locus, wind
 
@@ -115,7 +115,9 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     if rows is not None:
         filled = crowded(model, loop.hole)
         hidden = unseen(model, rows.data, (grid, *seen_on), filled) if stable else None
-        why = uncovered(Seen(model, loop, rows, (grid, *seen_on), by_rows, filled), stable)
+        seen = Seen(model, loop, rows, (grid, *seen_on), by_rows, filled)
+        faint = passed_over(seen, hidden)
+        hidden, why = (None if faint else hidden), uncovered(seen, stable) or faint
     still_open = anchor.still_open if stable and anchor is not None else None
     ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
     probability = min(doubtful.probability, 1.0 if still_open is None else still_open.decays)

@@ -7,12 +7,14 @@ import pytest
 
 from seqsweep.identify.frames import dq_to_pn
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.tuning.poles import closed_loop
 from seqsweep.tuning.probability import DECIDED
 from seqsweep.tuning.result import PointTuning
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.text import CERTAIN
-from seqsweep.tuning.tune import tune_point
-from seqsweep.tuning.uncovered import ALLOWANCE, stated
+from seqsweep.tuning.tune import fitted, tune_point
+from seqsweep.tuning.uncovered import ALLOWANCE, Seen, passed_over, stated
+from seqsweep.tuning.unseen import Unseen
 
 F1_HZ = 50.0
 MODE = -3.0 + 2j * np.pi * 160.0
@@ -31,17 +33,19 @@ def device(nu_hz: np.ndarray, size: float) -> np.ndarray:
     return base + above + size * mode
 
 
-def judged(nu_hz: np.ndarray, size: float, noise: float = 1e-4, seed: int = 0) -> PointTuning:
-    """The verdict from rows above f1 with white noise of known covariance; the device rests on an ideal source."""
+def table(nu_hz: np.ndarray, size: float, noise: float, seed: int) -> FrequencyResponse:
+    """Rows above f1 with white noise of known covariance; the device rests on an ideal source."""
     rng = np.random.default_rng(seed)
     y = device(nu_hz, size)
     std = noise * np.linalg.norm(y, axis=(1, 2)) / 2.0
     y = y + std[:, None, None] * (rng.normal(size=y.shape) + 1j * rng.normal(size=y.shape)) / np.sqrt(2.0)
     meta = {"op_id": "a", "stable_on": {"grid": "ideal", "growth_bound_per_s": 0.7, "disturbed_s": 10.0}}
-    response = FrequencyResponse(
-        F1_HZ + nu_hz, dq_to_pn(y), F1_HZ, covariance=std[:, None, None] ** 2 / 2.0 * np.eye(8), meta=meta
-    )
-    return tune_point(response, GRID)
+    covariance = std[:, None, None] ** 2 / 2.0 * np.eye(8)
+    return FrequencyResponse(F1_HZ + nu_hz, dq_to_pn(y), F1_HZ, covariance=covariance, meta=meta)
+
+
+def judged(nu_hz: np.ndarray, size: float, noise: float = 1e-4, seed: int = 0) -> PointTuning:
+    return tune_point(table(nu_hz, size, noise, seed), GRID)
 
 
 def unstable_poles(size: float) -> int:
@@ -97,3 +101,22 @@ def test_the_allowance_takes_certainty_and_no_verdict() -> None:
     assert [stated(p, "why") for p in (0.0, 0.3, 1.0)] == [ALLOWANCE, 0.3, 1.0 - ALLOWANCE]
     assert [stated(p, "") for p in (0.0, 0.3, 1.0)] == [0.0, 0.3, 1.0]
     assert 1.0 - CERTAIN < ALLOWANCE < 1.0 - DECIDED
+
+
+@pytest.mark.parametrize(
+    ("scale", "lowest_hz", "is_passed"), [(0.02, 0.5, True), (1.0, 0.5, False), (0.02, 6.0, False)]
+)
+def test_a_mode_that_would_have_to_be_huge_withholds_no_verdict(
+    scale: float, lowest_hz: float, is_passed: bool
+) -> None:
+    """Ten times what all rows show; where they begin far from f1 they show too little to say so."""
+    device, grid = fitted(table(ALL[lowest_hz <= ALL], 0.0, 1e-4, 0)), GRID.scaled(scale)
+    assert device.model is not None
+    assert device.rows is not None
+    crowded = np.zeros(len(device.model.nu_hz), dtype=bool)
+    seen = Seen(device.model, closed_loop(device.model, grid), device.rows, (grid,), 0, crowded)
+    strongest = np.abs(np.linalg.eigvals(device.rows.data.y @ grid.impedance_dq(2j * np.pi * device.rows.data.nu_hz)))
+    assert (float(strongest.max()) < 0.1) == (scale < 1.0)
+    why = passed_over(seen, Unseen(30.0, 0.0, in_gap=True))
+    assert bool(why) == is_passed
+    assert passed_over(seen, None) == passed_over(seen, Unseen(30.0, -100.0, in_gap=True)) == ""

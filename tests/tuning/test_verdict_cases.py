@@ -362,3 +362,17 @@ def test_a_constant_of_rounding_does_not_turn_the_locus() -> None:
     for scr in (1.2, 3.0, 30.0):
         r, x = grid_of(GFL.z_ohm / scr, 0.1)
         assert judged(rounded, r, x).verdict == truth(device, r, x)
+
+
+@pytest.mark.parametrize("gain", [0.5, 2.0, 2.5, 3.0])
+def test_an_aperiodic_mode_wider_than_the_band_is_counted(gain: float) -> None:
+    """Once undecided: locus and rows counted it, and the poles did not believe it, so far out of the band.
+
+    Of Y = -gain / (1 + s T) behind 1 ohm and L it is the root of 1 + s T = gain (1 + s L), the coupling of L left out.
+    """
+    nu_hz, t_s, grid = np.geomspace(0.5, 1000.0, 100), 1.0 / 8000.0, SeriesRL(1.0, 0.01, F1_HZ)
+    y = np.diag([-gain, 0.3]) / (1.0 + 2j * np.pi * nu_hz[:, None, None] * t_s)
+    response = FrequencyResponse(F1_HZ + nu_hz, T_PN @ y @ np.linalg.inv(T_PN), F1_HZ, meta={"stable_on": IDEAL})
+    pole = (gain - 1.0) / (t_s - gain * 0.01 / (2.0 * np.pi * F1_HZ))
+    assert gain < 1.0 or pole > 1.5 * 2.0 * np.pi * nu_hz[-1]
+    assert judged(response, grid.r_ohm, grid.x_ohm).verdict == ("unstable" if pole > 0.0 else "stable")
