@@ -58,15 +58,15 @@ def _idle_s(address: str) -> float:
     from seqsweep.sweep.run import workers
 
     with workers._dask_client(2, address) as client:
-        list(workers._on_cluster(client, nothing, 2, range(10)))  # type: ignore[arg-type]
+        list(workers._on_cluster(client, nothing, 2, ([k] for k in range(10))))  # type: ignore[arg-type]
         begin = time.perf_counter()
-        list(workers._on_cluster(client, nothing, 2, range(BATCHES)))  # type: ignore[arg-type]
+        list(workers._on_cluster(client, nothing, 2, ([k] for k in range(BATCHES))))  # type: ignore[arg-type]
         return (time.perf_counter() - begin) / BATCHES
 
 
-def nothing(batch: Any) -> tuple[str, Any]:
+def nothing(bundle: list[Any]) -> list[tuple[str, Any]]:
     """The work of a worker that has none."""
-    return str(batch), batch
+    return [(str(batch), batch) for batch in bundle]
 
 
 @contextmanager

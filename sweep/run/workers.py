@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple, TypeVar
@@ -20,7 +20,7 @@ from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
 from ..plan import Batch, Hosting, Plan
 from .asked import Batches
-from .host import Measure, Say, host_at_hand, host_of, silent
+from .host import Say, host_at_hand, host_of, silent
 from .spare import end_spares
 
 RESTARTS = 3
@@ -42,8 +42,8 @@ class RunError(SeqsweepError):
     """A run that cannot begin as it was called."""
 
 
-Work = Callable[[Batch], tuple[str, BatchResult]]
-"""What a worker does with a batch: its key, for what comes back out of order, and its result."""
+Work = Callable[[Sequence[Batch]], list[tuple[str, BatchResult]]]
+"""What a worker does with some batches: their keys, for what comes back out of order, and their results."""
 
 WORKERS_S = 30.0
 """How long (s) a scheduler without a worker is waited for."""
@@ -140,29 +140,38 @@ def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str
     """The workers of a backend, for as long as they are needed."""
     if backend in ("dask", "loky"):
         end_spares()
+    bundles = partial(_bundles, workers.jobs, isinstance(plant, PhasorPlant) and releases_gil(plant))
     if backend == "dask":
         with _dask_client(workers.jobs, workers.scheduler) as client:
-            yield partial(_on_cluster, client, partial(_on_worker, plan.hosting), workers.jobs)
+            work = partial(_on_worker, plan.hosting)
+            yield lambda batches: _on_cluster(client, work, workers.jobs, bundles(batches))
     elif backend == "loky":
-        yield partial(_in_processes, partial(_in_process, plan.hosting), workers.jobs)
+        work = partial(_in_process, plan.hosting)
+        yield lambda batches: _in_processes(work, workers.jobs, bundles(batches))
     else:
         with host_at_hand(plant, plan.hosting).measuring(workers.jobs, workers.say) as measure:
-            yield partial(_in_bundles, measure, workers.jobs, isinstance(plant, PhasorPlant) and releases_gil(plant))
+            yield lambda batches: _one_after_other(
+                _in_threads(lambda bundle: _named(bundle, measure(bundle)), bundles(batches), workers.jobs)
+            )
 
 
-def _in_bundles(measure: Measure, jobs: int, compiled: bool, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
-    """Batches to threads that share a host."""
-    bundles = _bundles(batches, jobs) if compiled else ([batch] for batch in batches)
-    for keys, measured in _in_threads(lambda bundle: (_keys(bundle), measure(bundle)), bundles, jobs):
-        yield from zip(keys, measured, strict=True)
+def _one_after_other(coming: Generator[Sequence[T], None, None]) -> Iterator[T]:
+    """What is in the bundles, as they come; who stops listening stops them at once."""
+    with closing(coming):
+        for bundle in coming:
+            yield from bundle
 
 
-def _bundles(batches: Batches, jobs: int) -> Iterator[list[Batch]]:
-    """What a thread takes at once of a compiled plant: several batches, where enough are left for all threads.
+def _named(batches: Sequence[Batch], results: Sequence[BatchResult]) -> list[tuple[str, BatchResult]]:
+    return [(batch.key, result) for batch, result in zip(batches, results, strict=True)]
+
+
+def _bundles(jobs: int, compiled: bool, batches: Batches) -> Iterator[list[Batch]]:
+    """What a worker takes at once: of a compiled plant several batches, where enough are left for all workers.
 
     The last shots of an operating point leave lanes idle; those of several fill them.
     """
-    n, coming = together(len(batches), jobs), iter(batches)
+    n, coming = together(len(batches), jobs) if compiled else 1, iter(batches)
     while bundle := list(islice(coming, n)):
         yield bundle
 
@@ -173,11 +182,7 @@ def together(n_batches: int, jobs: int) -> int:
     return n if n >= TOGETHER else 1
 
 
-def _keys(batches: Sequence[Batch]) -> list[str]:
-    return [batch.key for batch in batches]
-
-
-def _in_threads(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterator[R]:
+def _in_threads(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Generator[R, None, None]:
     """Results as they come; a few tasks wait for each thread, and who stops listening stops the rest."""
     if jobs == 1:
         yield from map(work, tasks)
@@ -196,7 +201,7 @@ def _in_threads(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterat
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_processes(work: Work, jobs: int, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
+def _in_processes(work: Work, jobs: int, bundles: Iterable[list[Batch]]) -> Iterator[tuple[str, BatchResult]]:
     """Batches to processes of our own: such a one would wait minutes for a runner that was killed, and goes with it."""
     from joblib import delayed, parallel_config
     from joblib.externals.loky.backend import resource_tracker
@@ -204,8 +209,8 @@ def _in_processes(work: Work, jobs: int, batches: Batches) -> Iterator[tuple[str
     _begin(resource_tracker)
     with parallel_config(backend="loky", n_jobs=jobs, initializer=die_with_parent, initargs=(os.getpid(),)):
         with _deaf():
-            coming = _joblib()(delayed(work)(batch) for batch in batches)
-        yield from coming
+            coming = _joblib()(delayed(work)(bundle) for bundle in bundles)
+        yield from _one_after_other(coming)
 
 
 @contextmanager
@@ -243,7 +248,9 @@ def _joblib() -> Any:
     return Parallel(return_as="generator_unordered", pre_dispatch="3*n_jobs", batch_size=1)
 
 
-def _on_cluster(client: Any, work: Work, jobs: int, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
+def _on_cluster(
+    client: Any, work: Work, jobs: int, bundles: Iterable[list[Batch]]
+) -> Iterator[tuple[str, BatchResult]]:
     """Batches on a dask cluster; a scheduler that goes is a failure of the machine, and what was measured is kept.
 
     joblib takes a cluster of one slot for no cluster at all and would work in this process: such a one is asked
@@ -258,19 +265,21 @@ def _on_cluster(client: Any, work: Work, jobs: int, batches: Batches) -> Iterato
 
     try:
         if sum(client.nthreads().values()) == 1:
-            yield from _one_by_one(client, work, batches)
+            yield from _one_after_other(_one_by_one(client, work, bundles))
         else:
             with parallel_config(backend="dask", n_jobs=jobs):
-                yield from _joblib()(delayed(work)(batch) for batch in batches)
+                yield from _one_after_other(_joblib()(delayed(work)(bundle) for bundle in bundles))
     except (CommClosedError, FutureCancelledError, CancelledError, Cancelled) as error:
         raise OSError(f"the dask scheduler at {client.scheduler.address} is gone: {error or 'no answer'}") from None
 
 
-def _one_by_one(client: Any, work: Work, batches: Batches) -> Iterator[tuple[str, BatchResult]]:
-    """A few batches wait at the scheduler, and each that is done lets another follow."""
+def _one_by_one(
+    client: Any, work: Work, bundles: Iterable[list[Batch]]
+) -> Generator[list[tuple[str, BatchResult]], None, None]:
+    """A few bundles wait at the scheduler, and each that is done lets another follow."""
     from distributed import as_completed
 
-    coming = (client.submit(work, batch, pure=False) for batch in batches)
+    coming = (client.submit(work, bundle, pure=False) for bundle in bundles)
     waiting = as_completed(list(islice(coming, 3)))
     for future in waiting:
         waiting.update(list(islice(coming, 1)))
@@ -317,16 +326,15 @@ def _begun(local_cluster: Any, jobs: int) -> Any:
     raise OSError(f"dask could not start its workers {1 + RESTARTS} times in a row: {said}")
 
 
-def _in_process(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
+def _in_process(hosting: Hosting, batches: Sequence[Batch]) -> list[tuple[str, BatchResult]]:
     with host_of(hosting).measuring(1) as measure:
-        (result,) = measure([batch])
-        return batch.key, result
+        return _named(batches, measure(batches))
 
 
-def _on_worker(hosting: Hosting, batch: Batch) -> tuple[str, BatchResult]:
+def _on_worker(hosting: Hosting, batches: Sequence[Batch]) -> list[tuple[str, BatchResult]]:
     """In a worker of dask: whose scheduler goes may find its own client's loop closed, and is to say nothing of it."""
     sys.unraisablehook = _nothing
-    return _in_process(hosting, batch)
+    return _in_process(hosting, batches)
 
 
 def _nothing(what: object) -> None:

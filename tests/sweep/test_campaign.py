@@ -19,7 +19,7 @@ from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure import loadflow
 from seqsweep.sweep.plan import Grid
 from seqsweep.sweep.planning import make_plan
-from seqsweep.sweep.run import host, shards
+from seqsweep.sweep.run import host, shards, workers
 from seqsweep.sweep.run.campaign import RunError, run
 
 from ..support import oracle
@@ -54,6 +54,15 @@ def written(folder, plan, plant, *, jobs=1, backend="threading", name="y.parquet
 def undisturbed(tmp_path_factory):
     plan, plant = planned()
     return written(tmp_path_factory.mktemp("undisturbed"), plan, plant)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_bundles_of_batches_give_the_same_bytes(tmp_path, monkeypatch, undisturbed, backend):
+    monkeypatch.setattr(workers, "FEW", 1)
+    monkeypatch.setattr(workers, "TOGETHER", 2)
+    plan, plant = planned()
+    assert [len(bundle) for bundle in workers._bundles(2, True, list(plan.batches()))] == [4, 4]
+    assert written(tmp_path, plan, plant, jobs=2, backend=backend) == undisturbed
 
 
 @pytest.fixture
