@@ -28,14 +28,9 @@ def checked_passive(
         If rows have a negative resistance that noise does not explain.
     """
     noise = np.abs(z) * grid.misfit if std is None else np.maximum(std, np.abs(z) * grid.misfit)
-    active = np.flatnonzero(z.real < -(NEGATIVE * np.abs(z) + _STANDARD_ERRORS * noise / np.sqrt(2.0)))
+    active = _active(z, noise)
     if len(active):
-        worst = active[np.argmin(z[active].real / np.abs(z[active]))]
-        raise GridError(
-            f"{grid.name}: the resistance is negative at {len(active)} of {len(z)} rows (Z = {in_ohm(z[worst])} ohm at "
-            f"{f_hz[worst]:.4g} Hz): a passive grid has none. Is its sign, or its angle, turned round? A grid with "
-            "converters in it is given as a 2x2 table: seqsweep import"
-        )
+        raise _negative(grid.name, f_hz, z, active)
     if _is_conjugate(z):
         raise GridError(
             f"{grid.name}: the reactance is negative at all {len(z)} rows and falls with the frequency, to "
@@ -43,6 +38,33 @@ def checked_passive(
             "turned round?"
         )
     return replace(grid, notes=(*notes, *_fit_notes(grid)))
+
+
+def refuse_turned(name: str, f_hz: np.ndarray, z: np.ndarray, std: np.ndarray | None) -> None:
+    """Refuse rows most of which have a negative resistance: no function of a passive grid describes them.
+
+    Raises
+    ------
+    GridError
+        If so.
+    """
+    active = _active(z, np.zeros(len(z)) if std is None else std)
+    if 2 * len(active) > len(z):
+        raise _negative(name, f_hz, z, active)
+
+
+def _active(z: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Indices of rows whose resistance is negative by more than ``noise`` (n,) in ohm explains."""
+    return np.flatnonzero(z.real < -(NEGATIVE * np.abs(z) + _STANDARD_ERRORS * noise / np.sqrt(2.0)))
+
+
+def _negative(name: str, f_hz: np.ndarray, z: np.ndarray, active: np.ndarray) -> GridError:
+    worst = active[np.argmin(z[active].real / np.abs(z[active]))]
+    return GridError(
+        f"{name}: the resistance is negative at {len(active)} of {len(z)} rows (Z = {in_ohm(z[worst])} ohm at "
+        f"{f_hz[worst]:.4g} Hz): a passive grid has none. Is its sign, or its angle, turned round? A grid with "
+        "converters in it is given as a 2x2 table: seqsweep import"
+    )
 
 
 def _is_conjugate(z: np.ndarray) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from ...plant.errors import place_of
 from .columns import Heading, frequency_of, heading_of, impedance_of
 from .errors import GridError, naming, refuse_other_format
-from .passivity import checked_passive
+from .passivity import checked_passive, refuse_turned
 from .rational import RationalGrid
 from .scalar_fit import MIN_ROWS, fit_impedance
 
@@ -66,6 +66,7 @@ def grid_of_table(table: ZTable, f1_hz: float, name: str) -> RationalGrid:
     grid = fit_impedance(table.f_hz, table.z, f1_hz, std=table.std, name=name)
     allowed = ACCEPTED_MISFIT if table.std is None else max(ACCEPTED_MISFIT, 2.0 * _relative(table))
     if grid.misfit > allowed:
+        refuse_turned(name, table.f_hz, table.z, table.std)
         raise GridError(
             f"{name}: no rational function of {len(table.f_hz)} rows describes Z(f) (misfit {grid.misfit:.0%}): rows "
             "are too far apart for its resonances, or some are wrong"
