@@ -130,8 +130,8 @@ def _leaves_gaps(seen: Seen) -> str:
 def _may_feed(seen: Seen, low_hz: float, high_hz: float, crowded: bool) -> bool:
     """Whether a mode could hide between two rows that feeds an oscillation.
 
-    Where rows are many beside the poles of the fit, only where the loop gain is not small, nor the gap narrower than
-    the modes around it are wide.
+    Where rows are many beside the poles of the fit, only where the loop gain is not small, the gap is wider than the
+    modes around it, and it is none of slow modes, which the fit follows.
     """
     model = seen.model
     at = low_hz + (high_hz - low_hz) * _BETWEEN
@@ -142,7 +142,7 @@ def _may_feed(seen: Seen, low_hz: float, high_hz: float, crowded: bool) -> bool:
         return bool(loud or fed)
     modes = np.concatenate([model.poles, seen.loop.poles])
     width_hz = np.abs(1j * np.pi * (low_hz + high_hz) - modes).min() / (2.0 * np.pi)
-    return bool(loud and high_hz - low_hz > width_hz)
+    return bool(loud and high_hz - low_hz > width_hz and high_hz > _FAR_HZ)
 
 
 def _tells_no_more(seen: Seen) -> str:
