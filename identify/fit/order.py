@@ -80,15 +80,20 @@ def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple
     if trial.cost < floor_cost(problem):
         return problem, trial, notes
     for _ in range(len(problem.s) // _OUTLIERS_PER_ROW):
-        tried = [_without_row(problem, trial, k) for k in narrow_poles(problem, trial.poles)]
-        found = [(p, t) for p, t, pays in tried if pays]
+        tried = [_without_pole(problem, trial, k) for k in narrow_poles(problem, trial.poles)]
+        found = [less for less in tried if less is not None]
         if not found:
             break
         kept, trial = min(found, key=lambda pt: pt[1].bic)
-        nu = left_out_hz(problem.s, kept.s)
-        notes += (f"the row at |f - f1| = {nu:.4g} Hz does not agree with its neighbours and was left out of the fit",)
+        if len(kept.s) < len(problem.s):
+            notes += (outlier_note(left_out_hz(problem.s, kept.s)),)
         problem = kept
     return problem, trial, notes
+
+
+def outlier_note(nu_hz: float) -> str:
+    """What is said of the row at |f - f1| = ``nu_hz`` that was left out."""
+    return f"the row at |f - f1| = {nu_hz:.4g} Hz does not agree with its neighbours and was left out of the fit"
 
 
 def left_out_hz(s: np.ndarray, kept: np.ndarray) -> float:
@@ -115,19 +120,24 @@ def without_rows(problem: Problem, rows: np.ndarray) -> Problem:
     )
 
 
-def _without_row(problem: Problem, trial: Trial, k: int) -> tuple[Problem, Trial, bool]:
-    """Pole k and the row next to it left out; whether the other rows do not miss the pole, and the row stands apart."""
+def _without_pole(problem: Problem, trial: Trial, k: int) -> tuple[Problem, Trial] | None:
+    """The fit without pole k: to the rows but the one next to it, if that alone asks for the pole and stands apart.
+
+    To all of them where they do not pay for the pole: no row asks for it then. None where the others miss it.
+    """
     row = int(np.argmin(np.abs(problem.s.imag - trial.poles[k].imag)))
-    rest = without_rows(problem, np.array([row]))
+    rest, fewer = without_rows(problem, np.array([row])), np.delete(trial.poles, k)
     with_pole = trial_at(rest, trial.poles, trial.tail)
-    without = refine(rest, trial_at(rest, np.delete(trial.poles, k), trial.tail))
-    if without.bic >= with_pole.bic:
-        return rest, without, False
-    with_pole = refine(rest, with_pole)
+    without = refine(rest, trial_at(rest, fewer, trial.tail))
+    if without.bic >= with_pole.bic or without.bic >= refine(rest, with_pole).bic:
+        return None
+    to_all = refine(problem, trial_at(problem, fewer, trial.tail))
+    if to_all.bic <= trial.bic:
+        return problem, to_all
     coefficients = solve_residues(rest, without.poles, without.tail).coefficients
     expected = coefficients @ basis(problem.s[row : row + 1], without.poles, without.tail)[0]
     apart = np.linalg.norm(problem.y[:, row] - expected) > _FAINT * np.linalg.norm(problem.y[:, row])
-    return rest, without, bool(apart and without.bic < with_pole.bic)
+    return (rest, without) if apart else None
 
 
 def prune(problem: Problem, trial: Trial) -> Trial:

@@ -13,7 +13,7 @@ import numpy as np
 
 from .dq_data import ELEMENTS
 from .least_squares import Problem, Trial, floor_cost, refine, shows_noise, solve_residues, trial_at
-from .order import narrow_poles, select_order, without_rows
+from .order import narrow_poles, outlier_note, select_order, without_rows
 
 _ALIKE = 15  # neighbouring rows taken to have the same noise
 _UNEVEN = 2.0  # ratio of the largest noise to the smallest from which on rows are weighted by it
@@ -52,19 +52,13 @@ def leave_out_outliers(problem: Problem, trial: Trial, max_order: int) -> tuple[
     with_them = refine(rest, trial_at(rest, trial.poles, trial.tail))
     if without.bic > with_them.bic or len(_lines(rest, without)) >= len(narrow):
         return problem, trial, ()
-    return rest, without, tuple(outlier_note(problem, row) for row in rows)
+    return rest, without, tuple(outlier_note(float(nu)) for nu in problem.s.imag[rows] / (2.0 * np.pi))
 
 
 def _lines(problem: Problem, trial: Trial) -> np.ndarray:
     """Indices of poles narrower than the rows and next to undamped: lines that a row or two ask for."""
     narrow = narrow_poles(problem, trial.poles)
     return narrow[np.abs(trial.poles[narrow].real) < _UNDAMPED * np.abs(trial.poles[narrow])]
-
-
-def outlier_note(problem: Problem, row: int) -> str:
-    """What is said of a row that was left out."""
-    nu = problem.s.imag[row] / (2.0 * np.pi)
-    return f"the row at |f - f1| = {nu:.4g} Hz does not agree with its neighbours and was left out of the fit"
 
 
 def _outlying(problem: Problem, trial: Trial) -> np.ndarray:

@@ -12,6 +12,8 @@ from seqsweep.identify.fit.least_squares import Problem
 from seqsweep.identify.fit.local_rational import between_rows, local_rational
 from seqsweep.identify.fit.model import fit_response
 from seqsweep.identify.fit.order import left_out_hz, without_rows
+from seqsweep.identify.frames import dq_to_pn
+from seqsweep.identify.response import FrequencyResponse
 
 from ..support import oracle
 from .test_anchor import unstable_device
@@ -62,6 +64,22 @@ def test_noise_that_differs_from_row_to_row_buys_no_poles() -> None:
 def test_a_table_without_outliers_loses_no_row() -> None:
     response = turbine(noise=1e-3, seed=3)
     assert len(fit_response(response).nu_hz) == len(to_dq(response).nu_hz)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_a_pole_that_no_row_asks_for_goes_and_no_row_with_it(noise: float) -> None:
+    """Two real poles and white noise: the search may end with a narrow pair beside them, where a row went with it."""
+    nu = np.geomspace(0.5, 1500.0, 120)
+    s = 2j * np.pi * nu[:, None, None]
+    exact = np.array([[2.0, -1.0], [1.0, -0.05]]) / (1.0 + s / 300.0) + np.eye(2) * 0.4 * s / (s + 4000.0)
+    std = noise * np.linalg.norm(exact, axis=(1, 2)) / 2.0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        y = exact + std[:, None, None] * (rng.normal(size=exact.shape) + 1j * rng.normal(size=exact.shape)) / 2.0**0.5
+        covariance = std[:, None, None] ** 2 / 2.0 * np.eye(8)
+        model = fit_response(FrequencyResponse(F1_HZ + nu, dq_to_pn(y), F1_HZ, covariance=covariance))
+        assert len(model.nu_hz) == len(nu)
+        assert np.abs(model.poles[:, None] / np.array([-300.0, -4000.0]) - 1.0).min(axis=0).max() < 20.0 * noise
 
 
 def test_an_outlying_row_beside_one_of_the_same_frequency_is_named() -> None:
