@@ -41,6 +41,7 @@ _KNOWN = 0.2  # a mode whose place is known no better than to this part of itsel
 _DAMPED = 0.5  # nor one whose damping is not known to a factor of two
 _NEAR_AXIS = 0.02  # unless it is as sure to be next to undamped: to this part of itself
 _SEVERAL = 2  # oscillating modes in a gap of the rows that may stand for more
+_HELD = 1e-4  # damping ratio of a pole at the axis: of no mode that a device has
 _OF_ROW = 8  # real numbers of a row
 _OF_PAIR, _OF_SINGULAR_PAIR = 10, 8  # real parameters of an oscillating pole and its residue of rank two, or one
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
@@ -146,7 +147,7 @@ def closed_loop(model: RationalModel, grid: Grid) -> ClosedLoop:
     hole = hole_of(model, grid, upper)
     beyond = is_beyond(model, upper) | (np.abs(upper) < 2.0 * np.pi * hole.start_hz)
     carried = ~beyond & _carried(model, grid.shadows, upper, covariance)
-    shown = np.array([is_swept(model, complex(pole)) and _is_told(model, complex(pole)) for pole in upper], dtype=bool)
+    shown = np.array([_is_shown(model, complex(pole)) for pole in upper], dtype=bool)
     grows = upper.real > SURELY * np.sqrt(covariance[:, 0, 0])
     critical, leading = (_resonance(model, upper, ~beyond, named, grows) for named in (carried & shown, carried))
     return ClosedLoop(model.f1_hz, upper, covariance, beyond, critical, leading, hole)
@@ -217,6 +218,22 @@ def is_swept(model: RationalModel, pole: complex) -> bool:
         return False
     above = int(np.clip(np.searchsorted(swept, nu), 1, len(swept) - 1))
     return bool(swept[above] <= _GAP * swept[above - 1] or swept[above] - swept[above - 1] <= 2.0 * width)
+
+
+def _is_shown(model: RationalModel, pole: complex) -> bool:
+    """Whether rows surround a mode and tell it, and agree with what was proved of the device there."""
+    return is_swept(model, pole) and _is_told(model, pole) and not _is_beside_held(model, pole)
+
+
+def _is_beside_held(model: RationalModel, pole: complex) -> bool:
+    """Whether a pole of the device's own is held at the axis between the same two rows as a mode.
+
+    What was proved keeps it on the left, narrower than any mode of a device that came to rest, where rows would have
+    it on the other side: what stands beside it makes up for that.
+    """
+    above = np.searchsorted(model.nu_hz, abs(pole.imag) / (2.0 * np.pi))
+    at_axis = model.poles[(model.poles.imag > 0.0) & (np.abs(model.poles.real) < _HELD * model.poles.imag)]
+    return bool(np.any(np.searchsorted(model.nu_hz, at_axis.imag / (2.0 * np.pi)) == above))
 
 
 def _is_told(model: RationalModel, pole: complex) -> bool:

@@ -65,10 +65,19 @@ def believed(rows: Rows, model: RationalModel) -> Rows:
     data = rows.data
     if len(data.nu_hz) == len(model.nu_hz):
         return rows
-    kept = np.abs(data.nu_hz[:, None] - model.nu_hz).min(axis=1) < _SAME * data.nu_hz
-    if kept.all():  # of two rows at one place one was left out
-        return rows
+    kept = _kept(data, model)
     return rows_of(_some(data, kept))._replace(left_out=_some(data, ~kept))
+
+
+def _kept(data: DqData, model: RationalModel) -> np.ndarray:
+    """(n,) bool: the rows of the fit, of several at one place those that it meets best."""
+    tolerance = _SAME * data.nu_hz
+    fitted = np.sum(np.abs(data.nu_hz[:, None] - model.nu_hz) < tolerance[:, None], axis=1)
+    alike = np.abs(data.nu_hz[:, None] - data.nu_hz) < tolerance[:, None]
+    kept = np.ones(len(data.nu_hz), dtype=bool)
+    for row in np.argsort(-misfits(data, model)):
+        kept[row] = np.count_nonzero(kept & alike[row]) <= fitted[row]
+    return kept
 
 
 def _some(data: DqData, chosen: np.ndarray) -> DqData:

@@ -75,7 +75,10 @@ def with_pair(problem: Problem, trial: Trial) -> np.ndarray:
 
 
 def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple[str, ...]]:
-    """Leave out rows that ask for a pole of their own, narrower than the distance of the rows, and that pole."""
+    """Leave out rows that ask for a pole of their own, narrower than the distance of the rows, and that pole.
+
+    Poles that no row asks for go first; only fits to as many rows have a BIC to compare.
+    """
     notes: tuple[str, ...] = ()
     if trial.cost < floor_cost(problem):
         return problem, trial, notes
@@ -84,7 +87,7 @@ def drop_outliers(problem: Problem, trial: Trial) -> tuple[Problem, Trial, tuple
         found = [less for less in tried if less is not None]
         if not found:
             break
-        kept, trial = min(found, key=lambda pt: pt[1].bic)
+        kept, trial = min(found, key=lambda less: (-len(less[0].s), less[1].bic))
         if len(kept.s) < len(problem.s):
             notes += (outlier_note(left_out_hz(problem.s, kept.s)),)
         problem = kept

@@ -13,7 +13,7 @@ from seqsweep.identify.frames import dq_to_pn
 from seqsweep.identify.response import FrequencyResponse
 from seqsweep.tuning.feeding import Hole
 from seqsweep.tuning.objections import Ruling
-from seqsweep.tuning.poles import ClosedLoop, _is_told, _resonance, closed_loop, crowded
+from seqsweep.tuning.poles import ClosedLoop, _is_beside_held, _is_told, _resonance, closed_loop, crowded
 from seqsweep.tuning.result import why_no_resonance
 from seqsweep.tuning.siso import SeriesRL
 from seqsweep.tuning.tune import tune_point
@@ -137,3 +137,13 @@ def test_a_mode_among_more_poles_than_its_rows_tell_is_not_named(
         omitted=Omitted(*np.zeros((4, 0))) if noisy else None,
     )
     assert _is_told(model, -500.0 + 2j * np.pi * 848.0) is is_told
+
+
+@pytest.mark.parametrize(("real", "held"), [(-1e-3, True), (-0.5, False)])
+def test_a_mode_beside_a_pole_that_is_held_at_the_axis_is_not_named(real: float, held: bool) -> None:
+    """Two inverters, each with an unstable pair of its own, swept on a grid on which 17 rows do not show them."""
+    exact = fit_response(response([-2.0 + 150j], np.geomspace(0.5, 900.0, 40)))
+    own = np.array([real + 84.2j])
+    model = replace(exact, poles=np.append(own, own.conj()), nu_hz=np.array([9.5, 12.0, 17.0, 26.0]))
+    assert _is_beside_held(model, -4.7 + 78.7j) is held
+    assert not _is_beside_held(model, -4.7 + 60.0j)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -101,9 +99,12 @@ def test_a_mode_that_the_grid_of_the_sweep_may_have_held_matters_on_a_stiffer_on
     assert alone is None or alone.excess < weak.excess
 
 
-def test_of_two_rows_at_one_place_one_may_be_left_out() -> None:
-    """Nothing is at a place of its own then that was left out."""
-    data = to_dq(table(AROUND, 0.0, 1e-3))
-    model = replace(fit_response(table(AROUND, 0.0, 1e-3)), nu_hz=data.nu_hz)
-    twice = DqData(*(np.concatenate([column, column[4:5]]) for column in (data.nu_hz, data.y)), None)
-    assert believed(rows_of(twice), model).left_out is None
+def test_of_two_rows_at_one_place_the_one_that_the_fit_misses_is_left_out() -> None:
+    """At f and at its mirror image: what is judged has as many rows as the fit."""
+    data, model = to_dq(table(AROUND, 0.0, 1e-3)), fit_response(table(AROUND, 0.0, 1e-3))
+    for at in (4, 5):  # before or after the sound one
+        twice = DqData(np.insert(data.nu_hz, at, data.nu_hz[4]), np.insert(data.y, at, 1.3 * data.y[4], axis=0), None)
+        kept = believed(rows_of(twice), model)
+        np.testing.assert_array_equal(kept.data.y, data.y)
+        assert kept.left_out is not None
+        np.testing.assert_array_equal(kept.left_out.y, 1.3 * data.y[4:5])
