@@ -79,8 +79,8 @@ def passed_over(seen: Seen, hidden: Unseen | None) -> str:
         return ""
     place = f"{seen.model.f1_hz - hidden.nu_hz:.4g}/{seen.model.f1_hz + hidden.nu_hz:.4g} Hz"
     return (
-        f"the rows around {place} do not exclude a mode narrower than their distance, though the loop gain of all rows "
-        f"is below {_FAINT:g}: measure more points there"
+        f"the rows around {place} {'do not exclude' if hidden.in_gap else 'ask for'} a mode narrower than their "
+        f"distance, though the loop gain of all rows is below {_FAINT:g}: measure more points there"
     )
 
 
@@ -141,7 +141,7 @@ def _may_feed(seen: Seen, low_hz: float, high_hz: float, crowded: bool) -> bool:
     if crowded or len(model.nu_hz) < _SPARE * model.order:
         return bool(loud or fed)
     modes = np.concatenate([model.poles, seen.loop.poles])
-    width_hz = np.abs(1j * np.pi * (low_hz + high_hz) - modes).min() / (2.0 * np.pi)
+    width_hz = np.abs(1j * np.pi * (low_hz + high_hz) - modes).min(initial=np.inf) / (2.0 * np.pi)
     return bool(loud and high_hz - low_hz > width_hz and high_hz > _FAR_HZ)
 
 

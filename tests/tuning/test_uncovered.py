@@ -120,3 +120,12 @@ def test_a_mode_that_would_have_to_be_huge_withholds_no_verdict(
     why = passed_over(seen, Unseen(30.0, 0.0, in_gap=True))
     assert bool(why) == is_passed
     assert passed_over(seen, None) == passed_over(seen, Unseen(30.0, -100.0, in_gap=True)) == ""
+
+
+@pytest.mark.parametrize("x_ohm", [0.3, 1e-6])
+def test_a_device_without_a_pole_is_judged_on_a_grid_without_one(x_ohm: float) -> None:
+    """A resistance; behind next to no reactance the loop has no finite pole either, and once it ended in a fault."""
+    nu_hz = np.geomspace(1.0, 1000.0, 8)
+    y = np.tile(0.01 * np.eye(2, dtype=complex), (8, 1, 1))
+    point = tune_point(FrequencyResponse(F1_HZ + nu_hz, y, F1_HZ, meta={"op_id": "a"}), SeriesRL(1.0, x_ohm, F1_HZ))
+    assert point.verdict == "stable"
