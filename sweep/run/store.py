@@ -92,9 +92,10 @@ class Folder:
 
 
 def _sorted(places: Sequence[np.ndarray]) -> np.ndarray:
-    """All places, by the names of the shards; of a name that is there twice the last comes first."""
+    """All places, by the names of the shards; of a name that is there twice the last."""
     together = np.concatenate([np.empty(0, packs.PLACE), *places])[::-1]
-    return together[np.argsort(together["key"], kind="stable")]
+    _, latest = np.unique(together["key"], return_index=True)
+    return together[latest]
 
 
 class Memory:

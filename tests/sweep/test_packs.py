@@ -146,6 +146,13 @@ def test_a_damaged_shard_in_a_pack_is_measured_again_alone(tmp_path, asked, undi
     assert output.read_bytes() == undisturbed
 
 
+def test_of_a_shard_in_several_packs_the_last_is_read_however_often_places_are_joined(tmp_path):
+    """Its first place may be damaged, and more packs may have come since it was measured again."""
+    first, again, further = (np.array([(key, 0, 1, 1, n)], packs.PLACE) for n, key in enumerate((b"b", b"b", b"a")))
+    joined = store._sorted([store._sorted([first, again]), further])
+    assert joined[["key", "pack"]].tolist() == [(b"a", 2), (b"b", 1)]
+
+
 def test_no_flipped_bit_in_a_pack_goes_unnoticed(tmp_path, asked):
     plan, plant = asked
     results = [(batch.key, measure(plant, batch)) for batch in plan.batches_at(plan.conditions[0])]
