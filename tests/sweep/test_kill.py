@@ -97,7 +97,7 @@ def test_a_runner_killed_while_it_packs_shards_costs_nothing_but_time(tmp_path):
     path, table = many_points(tmp_path, 280), tmp_path / "y.parquet"
     process = start("run", path, "-o", table, "--jobs", 2)
     try:
-        wait_for(lambda: any(Path(f"{table}.parts").glob("*.pack*")) or table.exists())
+        wait_for(lambda: table.exists() or any(Path(f"{table}.parts").glob("*.pack*")))
         process.kill()
         process.wait(timeout=300)
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -58,7 +59,7 @@ def test_what_batches_share_is_not_multiplied_by_them(monkeypatch):
     stepping_s = 1e-3 * RUN_BLOCKS * wall_time._runs(blocks_of, 8, wall_time.TOGETHER)
     clock = iter([0.0, stepping_s + 0.8])
     monkeypatch.setattr(wall_time, "measure_together", lambda plant, batches: None)
-    monkeypatch.setattr(wall_time.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(wall_time, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     cost = wall_time._in_company(plan, plant, batch, alone)
     assert cost.beside_s == pytest.approx(0.1)
     assert cost.round_s * wall_time._rounds(blocks_of) == pytest.approx(0.4)
