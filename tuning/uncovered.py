@@ -17,7 +17,7 @@ from .feeding import ACTIVE, LOUD, activity
 from .poles import ClosedLoop, is_swept, mode_weight
 from .rows import Rows
 from .siso import Grid
-from .unseen import DENSE, Unseen
+from .unseen import DENSE, Unseen, mutual_impedance
 
 ALLOWANCE = 0.005
 """How likely a verdict is wrong for what its rows cannot show: a judgement. Counted: 18 of 2,494 verdicts on tables
@@ -159,9 +159,7 @@ def _is_near(seen: Seen) -> str:
     modes_hz = np.abs(seen.loop.poles.imag) / (2.0 * np.pi)
     nu_hz = np.concatenate([model.nu_hz, modes_hz[(modes_hz > model.nu_hz[0]) & (modes_hz < model.nu_hz[-1])]])
     s = 2j * np.pi * nu_hz
-    y, z = evaluate(model, s), grid.impedance_dq(s)
-    shown = np.linalg.norm(z @ np.linalg.inv(np.eye(2) + y @ z), 2, axis=(1, 2))  # |(Y + Yg)^-1|
-    nearness = shown * np.linalg.norm(y, 2, axis=(1, 2))
+    nearness = mutual_impedance(model, grid, s) * np.linalg.norm(evaluate(model, s), 2, axis=(1, 2))
     nearest = int(np.argmax(nearness))
     if nearness[nearest] * _KEPT < 1.0:
         return ""

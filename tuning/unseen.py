@@ -119,7 +119,7 @@ def unseen(model: RationalModel, data: DqData, grids: Sequence[Grid], crowded: n
 def overruled(model: RationalModel, left_out: DqData, grid: Grid) -> float | None:
     """|f - f1| (Hz) of a row left out that would change the verdict if it were right; None if there is none."""
     s = 2j * np.pi * left_out.nu_hz
-    moved = np.linalg.norm(left_out.y - evaluate(model, s), 2, axis=(1, 2)) * _impedance(model, grid, s)
+    moved = np.linalg.norm(left_out.y - evaluate(model, s), 2, axis=(1, 2)) * mutual_impedance(model, grid, s)
     return float(left_out.nu_hz[np.argmax(moved)]) if np.any(moved > 1.0) else None
 
 
@@ -133,11 +133,11 @@ def _places(model: RationalModel, grids: Sequence[Grid]) -> _Places:
     hides = 2.0 * np.pi * apart > 2.0 * width
     in_gap = np.broadcast_to((edges[1:] > DENSE * edges[:-1])[:, None], nu.shape)
     w, width = w[hides], width[hides]
-    shown = np.max([_impedance(model, grid, 1j * w) for grid in grids], axis=0)
+    shown = np.max([mutual_impedance(model, grid, 1j * w) for grid in grids], axis=0)
     return _Places(nu[hides], -width + 1j * w, width / shown, in_gap[hides])
 
 
-def _impedance(model: RationalModel, grid: Grid, s: np.ndarray) -> np.ndarray:
+def mutual_impedance(model: RationalModel, grid: Grid, s: np.ndarray) -> np.ndarray:
     """|(Y + Yg)^-1| (n,): the impedance (ohm) that device and grid show each other."""
     z = grid.impedance_dq(s)
     return np.asarray(np.linalg.norm(z @ np.linalg.inv(np.eye(2) + evaluate(model, s) @ z), 2, axis=(1, 2)))
