@@ -140,11 +140,12 @@ def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str
     """The workers of a backend, for as long as they are needed."""
     if backend in ("dask", "loky"):
         end_spares()
-    bundles = partial(_bundles, workers.jobs, isinstance(plant, PhasorPlant) and releases_gil(plant))
+    compiled = isinstance(plant, PhasorPlant) and releases_gil(plant)
+    bundles = partial(_bundles, workers.jobs, compiled)
     if backend == "dask":
         with _dask_client(workers.jobs, workers.scheduler) as client:
             work = partial(_on_worker, plan.hosting)
-            yield lambda batches: _on_cluster(client, work, workers.jobs, bundles(batches))
+            yield lambda batches: _on_cluster(client, work, workers.jobs, _for_cluster(client, compiled, batches))
     elif backend == "loky":
         work = partial(_in_process, plan.hosting)
         yield lambda batches: _in_processes(work, workers.jobs, bundles(batches))
@@ -174,6 +175,11 @@ def _bundles(jobs: int, compiled: bool, batches: Batches) -> Iterator[list[Batch
     n, coming = together(len(batches), jobs) if compiled else 1, iter(batches)
     while bundle := list(islice(coming, n)):
         yield bundle
+
+
+def _for_cluster(client: Any, compiled: bool, batches: Batches) -> Iterator[list[Batch]]:
+    """Bundles for the workers that the cluster has at that moment: a named one may have more than ``jobs``."""
+    yield from _bundles(max(1, sum(client.nthreads().values())), compiled, batches)
 
 
 def together(n_batches: int, jobs: int) -> int:
