@@ -37,6 +37,9 @@ from .format import (
 if TYPE_CHECKING:
     import pandas as pd
 
+_FOOTER_BYTES = 100_000_000
+"""Longest text in the foot of a file that is read without being asked; that of a campaign may be longer."""
+
 _HOW = "another tool's file becomes a table by `seqsweep import`, a recording by `seqsweep identify`"
 
 
@@ -147,7 +150,8 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, dict[str, Any]]]:
     if not Path(path).is_file():
         raise TableError(f"{path}: not a file; name a table")
     try:
-        file = pq.ParquetFile(path, page_checksum_verification=True)
+        longest = max(_FOOTER_BYTES, Path(path).stat().st_size)
+        file = pq.ParquetFile(path, page_checksum_verification=True, thrift_string_size_limit=min(longest, 2**31 - 1))
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: not a Parquet file, or a truncated one; {_HOW}") from error
     with file:

@@ -186,14 +186,16 @@ class Kernel:
             return _read(path) or _write(path, *self._compiled(arguments))
 
     def _compiled(self, arguments: Sequence[Any]) -> tuple[str, bytes]:
-        """Name and object code; empty where it cannot stand alone."""
-        from .compiler import code_of
-
+        """Name and object code; empty where it cannot stand alone, or numba is inside not as the compiler knows it."""
         _under_way.kept = True
         try:
+            from .compiler import code_of
+
             letters = "".join(map(_letters, arguments))
             given = ["ptr", "ptr", *(_VALUES[letter] for letter in letters)]
             return code_of(self.py_func, self._options | _NO_WAY_IN | {"_nrt": False}, map(_plain, arguments), given)
+        except (ImportError, AttributeError, TypeError):
+            return "", b""
         finally:
             _under_way.kept = False
 

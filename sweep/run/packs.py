@@ -18,8 +18,6 @@ from ...identify.files import atomic_file
 from ..measure.rows import BatchResult
 from . import shards
 
-SUFFIX = ".pack"
-
 PLACE = np.dtype([("key", "S64"), ("at", "<u8"), ("size", "<u4"), ("plain", "<u4"), ("pack", "<u4")])
 """Where a shard stands: its name, byte and length in the pack, its length when unpacked, and the number of the pack."""
 
@@ -35,12 +33,12 @@ _SUM = 32
 
 def path_of(folder: Path, number: int) -> Path:
     """The pack of that number."""
-    return folder / f"{number:06d}{SUFFIX}"
+    return folder / f"{number:06d}{shards.PACK}"
 
 
 def numbers(folder: Path) -> list[int]:
     """Numbers of the packs in a folder, damaged ones among them."""
-    return sorted(int(path.stem) for path in folder.glob(f"*{SUFFIX}") if path.stem.isdecimal())
+    return sorted(int(path.stem) for path in folder.glob(f"*{shards.PACK}") if path.stem.isdecimal())
 
 
 def write(folder: Path, number: int, named: Iterable[tuple[str, shards.Parts]]) -> np.ndarray:

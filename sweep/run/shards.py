@@ -29,6 +29,9 @@ _FORMAT = "condition, words, numbers"
 _BETWEEN = "\t"
 """Between the three parts of a shard: neither JSON nor base 64 has such a character."""
 
+PACK = ".pack"
+"""Suffix of files of many shards, numbered."""
+
 NUMBERS = "<f8"
 """Numbers of a shard: little-endian doubles."""
 
@@ -152,7 +155,8 @@ def keys(folder: Path) -> set[str]:
 def remove(folder: Path) -> None:
     """Remove the shards once the table is written; a file that is not ours stays, and so does the folder."""
     for path in folder.iterdir():
-        if path.name == "lock" or path.suffix in (".tmp", ".pack") or _is_key(path.name):
+        is_pack = path.suffix == PACK and path.stem.isdecimal()
+        if path.name == "lock" or path.suffix == ".tmp" or is_pack or _is_key(path.name):
             path.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

@@ -166,7 +166,8 @@ def _found(plan: Plan, plant: Plant) -> Cost:
         if sum(promised_s) <= PATIENCE_S:
             taken = [_taken(plant, *each) for each in zip(asked[:n], promised_s, strict=True)]
             cost = _tried(plan, asked[:n], taken, untried)
-            return _in_company(plan, plant, of_first[0], cost) if _has_company(plan, of_first, cost) else cost
+            together = TOGETHER * promised_s[0] <= PATIENCE_S and _has_company(plan, of_first, cost)
+            return _in_company(plan, plant, of_first[0], cost) if together else cost
     return untried
 
 
