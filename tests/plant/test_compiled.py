@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.plant.kernels import branch, compiled
+from seqsweep.plant.kernels import branch, compiled, kept
 
 KERNEL = """
 import json, sys
@@ -77,10 +77,10 @@ def test_of_processes_that_begin_together_one_compiles_and_the_others_wait(tmp_p
 
 def test_a_lock_that_somebody_keeps_costs_time_alone(tmp_path, monkeypatch):
     fcntl = pytest.importorskip("fcntl")
-    monkeypatch.setattr(compiled, "_PATIENCE_S", 0.1)
-    with (tmp_path / "k.kernel.lock").open("w") as kept:
-        fcntl.flock(kept, fcntl.LOCK_EX)
-        with compiled._alone(tmp_path / "k.kernel"):
+    monkeypatch.setattr(kept, "_PATIENCE_S", 0.1)
+    with (tmp_path / "k.kernel.lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with kept.alone(tmp_path / "k.kernel"):
             pass
 
 
@@ -90,9 +90,9 @@ def test_a_lock_that_somebody_keeps_costs_time_alone(tmp_path, monkeypatch):
 )
 def test_damage_to_a_file_is_seen(warm, tmp_path, damage):
     (path,) = files(warm)
-    assert compiled._read(path)
+    assert kept.read(path)
     (tmp_path / path.name).write_bytes(damage(path.read_bytes()))
-    assert compiled._read(tmp_path / path.name) is None
+    assert kept.read(tmp_path / path.name) is None
 
 
 def test_a_damaged_file_is_made_anew(warm):
@@ -112,9 +112,9 @@ def test_another_processor_or_setting_has_code_of_its_own(warm, setting):
 
 
 def test_another_python_has_code_of_its_own(monkeypatch):
-    here = compiled._machine.__wrapped__()
+    here = kept.machine.__wrapped__()
     monkeypatch.setattr(sys, "version_info", (3, 99, 0))
-    assert compiled._machine.__wrapped__() != here
+    assert kept.machine.__wrapped__() != here
 
 
 def test_an_edit_is_noticed(tmp_path):
@@ -126,7 +126,7 @@ def test_an_edit_is_noticed(tmp_path):
 def test_files_of_one_kernel_are_bounded(tmp_path):
     path = tmp_path / "k.f-0.kernel"
     for k in range(12):
-        compiled._write(path.with_name(f"k.f-{k}.kernel"), "f", b"code")
+        kept.write(path.with_name(f"k.f-{k}.kernel"), "f", b"code")
         os.utime(path.with_name(f"k.f-{k}.kernel"), (k, k))
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(f"k.f-{k}.kernel" for k in range(4, 12))
 
@@ -140,7 +140,7 @@ def test_what_returns_or_allocates_is_left_to_numba_and_right(tmp_path):
     returns = KERNEL.replace("    for k in range(n):", "    x = np.zeros(n)\n    for k in range(n):")
     assert called(tmp_path, returns) == (WANTED, True)
     assert called(tmp_path, returns) == (WANTED, True)
-    assert all(compiled._read(path) == ("", b"") for path in files(tmp_path))
+    assert all(kept.read(path) == ("", b"") for path in files(tmp_path))
 
 
 def test_without_the_compiler_the_python_itself_runs(warm):
@@ -238,12 +238,12 @@ def test_a_warm_process_does_without_numba(work):
 def test_the_key_knows_every_file_that_a_kernel_is_made_of(tmp_path):
     for name, text in (("a", "from .b import x\n"), ("b", "from .c import x\n"), ("c", "from .a import x\nx = 1\n")):
         (tmp_path / f"{name}.py").write_text(text)
-    before = compiled._text(tmp_path / "a.py")
+    before = kept.text_of(tmp_path / "a.py")
     (tmp_path / "c.py").write_text("from .a import x\nx = 2\n")
-    assert compiled._text(tmp_path / "a.py") != before
-    assert not compiled._is_whole(tmp_path / "a.py")
+    assert kept.text_of(tmp_path / "a.py") != before
+    assert not kept.is_whole(tmp_path / "a.py")
     (tmp_path / "a.py").write_text("x = 1\n")
-    assert compiled._is_whole(tmp_path / "a.py")
+    assert kept.is_whole(tmp_path / "a.py")
 
 
 def test_a_kernel_over_stacks_is_the_kernel_over_each_of_their_entries():
