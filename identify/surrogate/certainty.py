@@ -50,11 +50,14 @@ class Certainty(NamedTuple):
         That of what the model lacks anywhere, whatever the leverage.
     factor : (f,) float
         Radius of a 95 % region in standard errors.
+    rounding : float
+        The least radius: every product of the model is rounded once.
     """
 
     variance: np.ndarray
     lacking: np.ndarray
     factor: np.ndarray
+    rounding: float
 
 
 def what_each_tells(fitted: Fitted, data: Data) -> np.ndarray:
@@ -74,6 +77,11 @@ def all_alike(fitted: Fitted, data: Data) -> np.ndarray:
     Sweeps are placed, regions certified and borders of jumps found with it; as a 95 % region it is too wide.
     """
     return np.where(data.weight > 0.0, 1.0, 0.0)
+
+
+def free_sweeps(fitted: Fitted, data: Data) -> float:
+    """Sweeps beyond those that the products of the model take up."""
+    return data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
 
 
 def _bounded(leverage: np.ndarray) -> np.ndarray:
@@ -104,17 +112,17 @@ def certainty(fitted: Fitted, data: Data, noise: np.ndarray | None, weight: np.n
     h = _bounded(fitted.leverage)
     total = np.maximum(weight.sum(axis=1), 1e-300)
     squared = np.where(used, weight * np.sum(np.abs(fitted.left_out) ** 2, axis=2) * (1.0 - h), 0.0)
-    free = data.x.shape[0] - len(fitted.shape.numerator) - len(fitted.shape.denominator) / ELEMENTS
-    unsure = _quantile(_REAL, _FREE * max(free, 0.5))
+    unsure = _quantile(_REAL, _FREE * max(free_sweeps(fitted, data), 0.5))
     missed = _BY_LEVERAGE * moving_mean((squared / h).sum(axis=1) / total)
     found = np.maximum(moving_mean(squared.sum(axis=1) / total), 1e-300)
+    rounding = (len(fitted.shape.numerator) + len(fitted.shape.denominator)) * float(np.finfo(float).eps)
     if noise is None:
-        return Certainty(missed, _EVERYWHERE * found, np.full(len(missed), unsure))
+        return Certainty(missed, _EVERYWHERE * found, np.full(len(missed), unsure), rounding)
     stated = moving_mean(np.where(used, noise, 0.0).sum(axis=1) / count)
     share = np.clip((_LACKING * stated - found) / np.maximum((_LACKING - _EXPLAINED) * stated, 1e-300), 0.0, 1.0)
     variance = np.maximum(stated, (1.0 - share) * missed + share * stated)
     factor = share * _quantile(ELEMENTS, 1e6) + (1.0 - share) * unsure
-    return Certainty(variance, _EVERYWHERE * (1.0 - share) * found, factor)
+    return Certainty(variance, _EVERYWHERE * (1.0 - share) * found, factor, rounding)
 
 
 def _quantile(numerator: float, denominator: float) -> float:
@@ -139,4 +147,4 @@ def relative_error(
         apart = np.sum(np.abs(rival.y - prediction.y) ** 2, axis=2) / size**2
         noise = sure.variance * np.abs(rival.leverage - prediction.leverage)
         spread += np.maximum(apart - noise, 0.0) / max(ratio, 1.0) ** 2 / len(rivals)
-    return sure.factor * np.sqrt(sure.variance * prediction.leverage + sure.lacking + spread)
+    return np.hypot(sure.factor * np.sqrt(sure.variance * prediction.leverage + sure.lacking + spread), sure.rounding)

@@ -12,9 +12,13 @@ from functools import cached_property
 
 import numpy as np
 
-from .certainty import Certainty, all_alike, certainty, relative_error, what_each_tells
+from .certainty import Certainty, all_alike, certainty, free_sweeps, relative_error, what_each_tells
 from .choosing import larger
 from .sparse_rational import Data, Fitted, fit_shape, predict
+
+
+_FEW = 3.0
+"""Free sweeps below which their own mean may be small by luck, and those that hold corners count in full."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ def piece_of(models: tuple[Fitted, ...], data: Data, noise: np.ndarray | None) -
     """A piece of models, best first, of sweeps whose rows have the relative variance ``noise`` (f, m)."""
     best = models[0]
     sure, wary = (certainty(best, data, noise, counts(best, data)) for counts in (what_each_tells, all_alike))
-    return Piece(models, sure, wary, data)
+    piece = Piece(models, sure, wary, data)
+    return piece.cautious if free_sweeps(best, data) < _FEW else piece
 
 
 @dataclass(frozen=True)
