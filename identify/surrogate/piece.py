@@ -16,7 +16,6 @@ from .certainty import Certainty, all_alike, certainty, free_sweeps, relative_er
 from .choosing import larger
 from .sparse_rational import Data, Fitted, fit_shape, predict
 
-
 _FEW = 3.0
 """Free sweeps below which their own mean may be small by luck, and those that hold corners count in full."""
 
@@ -57,7 +56,7 @@ class Piece:
         return Cautious(replace(self, sure=self.wary), tuple(fit_shape(self.data, shape) for shape in shapes))
 
 
-def piece_of(models: tuple[Fitted, ...], data: Data, noise: np.ndarray | None) -> Piece:
+def piece_of(models: tuple[Fitted, ...], data: Data, noise: np.ndarray | None) -> Piece | Cautious:
     """A piece of models, best first, of sweeps whose rows have the relative variance ``noise`` (f, m)."""
     best = models[0]
     sure, wary = (certainty(best, data, noise, counts(best, data)) for counts in (what_each_tells, all_alike))

@@ -357,7 +357,7 @@ def _unit_of(border: Border | None, number: int, points: np.ndarray, scale: Scal
 
 def _piece(
     data: Data, noise: np.ndarray | None, side: np.ndarray, shapes: Sequence[Shape] | None, region: np.ndarray
-) -> Piece:
+) -> Piece | Cautious:
     """The model of the sweeps on one side."""
     own = Data(data.x[side], data.y[:, side], data.weight[:, side])
     if shapes is None:
