@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..identify.fit.order import NARROWEST
 from ..identify.fit.rational import RationalModel, derivative, evaluate, spread
 from .feeding import Hole, hole_of
 from .siso import Grid, check_fundamental, impedance_dq
@@ -42,6 +41,7 @@ _KNOWN = 0.2  # a mode whose place is known no better than to this part of itsel
 _DAMPED = 0.5  # nor one whose damping is not known to a factor of two
 _NEAR_AXIS = 0.02  # unless it is as sure to be next to undamped: to this part of itself
 _SEVERAL = 2  # oscillating modes in a gap of the rows that may stand for more
+_HELD = 1e-4  # damping ratio of a pole at the axis: of no mode that a device has
 _OF_ROW = 8  # real numbers of a row
 _OF_PAIR, _OF_SINGULAR_PAIR = 10, 8  # real parameters of an oscillating pole and its residue of rank two, or one
 _INFINITE = 1e8  # rad/s; eigenvalues of the pencil beyond are its infinite ones
@@ -232,7 +232,7 @@ def _is_beside_held(model: RationalModel, pole: complex) -> bool:
     it on the other side: what stands beside it makes up for that.
     """
     above = np.searchsorted(model.nu_hz, abs(pole.imag) / (2.0 * np.pi))
-    at_axis = model.poles[(model.poles.imag > 0.0) & (np.abs(model.poles.real) < NARROWEST * model.poles.imag)]
+    at_axis = model.poles[(model.poles.imag > 0.0) & (np.abs(model.poles.real) < _HELD * model.poles.imag)]
     return bool(np.any(np.searchsorted(model.nu_hz, at_axis.imag / (2.0 * np.pi)) == above))
 
 
