@@ -85,28 +85,29 @@ def _at(context, builder, address, cell, kind):
     return builder.inttoptr(place, context.get_value_type(kind).as_pointer())
 
 
-@intrinsic
-def _whole(typing_context, block, cell):
-    """The integer in a cell of the block at an address."""
+def _reads(name):
+    """What an intrinsic gives that reads a cell of numba's type of that name."""
     from numba import types
+
+    kind = getattr(types, name)
 
     def code(context, builder, signature, arguments):
         address, place = arguments
-        return builder.load(_at(context, builder, address, place, types.int64))
+        return builder.load(_at(context, builder, address, place, kind))
 
-    return types.int64(types.int64, types.int64), code
+    return kind(types.int64, types.int64), code
+
+
+@intrinsic
+def _whole(typing_context, block, cell):
+    """The integer in a cell of the block at an address."""
+    return _reads("int64")
 
 
 @intrinsic
 def _number(typing_context, block, cell):
     """The double in a cell of the block at an address."""
-    from numba import types
-
-    def code(context, builder, signature, arguments):
-        address, place = arguments
-        return builder.load(_at(context, builder, address, place, types.float64))
-
-    return types.float64(types.int64, types.int64), code
+    return _reads("float64")
 
 
 @intrinsic
