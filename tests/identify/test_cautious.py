@@ -109,5 +109,5 @@ def test_a_turbine_that_hides_a_product_from_twelve_sweeps_is_not_certified():
     points = unseen(PQV, 60, 20250)
     off, _ = errors_of(surrogate, points, np.array([TURBINE.exact(point) for point in points]))
     assert off.max() > 1e-4
-    assert surrogate.worst_bar[0] > 1e-4
+    assert WIDER * surrogate.worst_bar[0] > off.max()
     assert WIDER * next_point(surrogate, PQV)[1] > 1e-4
