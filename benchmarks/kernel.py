@@ -1,4 +1,4 @@
-"""Kernel: ns per step and lane, against a floor counted from the kernel's own operations.
+"""Kernel: ns per step and lane, against a floor counted from the kernel's own operations; of lanes that are calm.
 
 CPU time, in several fresh processes, because the stack's alignment is drawn anew in each. The floor: the Python of
 the kernel is run on numbers that count what is done to them; a product that goes straight into a sum
@@ -228,6 +228,10 @@ class _Counting:
         self.tally["division"] += 1
         return _Counting(_value(other) / self.value)
 
+    def __abs__(self) -> _Counting:
+        self.tally["arithmetic"] += 1
+        return _Counting(abs(self.value))
+
     def __lt__(self, other: Any) -> bool:
         self.tally["arithmetic"] += 1  # a minimum or maximum
         return self.value < _value(other)
@@ -263,7 +267,7 @@ def _counted() -> dict[str, dict[str, int]]:
         shim = SimpleNamespace(floor=_floor, sqrt=_sqrt, pi=math.pi, exp=math.exp, cos=math.cos, sin=math.sin)
         kernel.math, whole = shim, kernel.math
         _Counting.tally.clear()
-        advance(x, *constants, 1, slot, np.empty((1, 8, kernel.LANES), dtype=object))
+        advance.calm(x, *constants, 1, slot, np.empty((1, 8, kernel.LANES), dtype=object))
         kernel.math = whole
         tally = _Counting.tally
         found[source] = {kind: tally[kind] // kernel.LANES for kind in ("arithmetic", "division", "root")}

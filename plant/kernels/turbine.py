@@ -64,7 +64,9 @@ N_TONE_SLOTS = 6
 FREE = TONE + N_TONE_SLOTS
 FED = FREE + 12
 FRAME = FED + 6
-TONES = FRAME + 2
+# How far beyond a limit a calm lane came, positive where it met one; see `_asked`.
+BEYOND = FRAME + 2
+TONES = BEYOND + 1
 
 # Blackman's taper, 0.42 - 0.5 cos + 0.08 cos(2 .) in powers of the cosine.
 TAPER_0, TAPER_1, TAPER_2 = 0.34, -0.5, 0.16
@@ -133,7 +135,10 @@ def _turned(c, s, angle):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _machine(x, wind, p):
-    """Derivatives of machine, its current control and the rotor; power into the DC link (W)."""
+    """Derivatives of machine, its current control and the rotor; power into the DC link (W).
+
+    No wind (None) is that of a calm lane, whose machine stands still: nothing but the wind reaches it.
+    """
     i_d, i_q, xi_d, xi_q, w_m = x[I_SD], x[I_SQ], x[XI_SD], x[XI_SQ], x[W_M]
     w_e = p.pole_pairs * w_m
     torque_ref = p.k_opt * w_m * w_m
@@ -141,6 +146,8 @@ def _machine(x, wind, p):
     error_q = i_q - torque_ref / (p.pole_pairs * p.flux_wb)
     v_d = p.k_mp * error_d + xi_d + p.k_mrd_ohm * i_q
     v_q = p.k_mp * error_q + xi_q - p.k_mrd_ohm * i_d
+    if wind is None:
+        return (None, None, None, None, None), v_d * i_d + v_q * i_q
     slip = p.radius_m * w_m
     torque_aero = 0.5 * p.rho_kgm3 * math.pi * p.radius_m**3 * slip * (p.c_q1 * wind - p.c_q2 * slip)
     return (
@@ -169,8 +176,31 @@ def _limited(i_d_wanted, i_d_limit, p):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _reference(i_d_wanted, wind, i_d_limit, p):
+    """The reference of i_d, and how far (A) what is wanted lies beyond its limit: a calm lane does not look."""
+    if wind is None:
+        limit = p.i_limit_a if i_d_limit is None else i_d_limit
+        return i_d_wanted, abs(i_d_wanted) - limit
+    return _limited(i_d_wanted, i_d_limit, p), 0.0
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _converter(v_d_wanted, v_q_wanted, v_dc, wind):
+    """The converter's voltage, v_dc / sqrt(2) at most, and how far (V^2) what is wanted lies beyond that.
+
+    Between the two stand the factors of 1 / v_dc: one division serves the limit and the DC link.
+    """
+    wanted_squared = v_d_wanted * v_d_wanted + v_q_wanted * v_q_wanted
+    if wind is None:
+        return v_d_wanted, v_q_wanted, 1.0 / v_dc, 1.0, 2.0 * wanted_squared - v_dc * abs(v_dc)
+    inverse = 1.0 / (v_dc * wanted_squared)
+    share = min(1.0, v_dc * math.sqrt(0.5 * v_dc * inverse))
+    return share * v_d_wanted, share * v_q_wanted, inverse, wanted_squared, 0.0
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _device(x, v_re, v_im, u_re, u_im, c, s, asked, p):
-    """Derivatives of the device's thirteen states at PCC voltage ``v`` and PLL angle (c, s).
+    """Derivatives of the device's thirteen states at PCC voltage ``v`` and PLL angle (c, s), and `BEYOND`.
 
     ``u`` is the voltage that the controller is told; without compensation it is ``v``. ``asked`` is (wind, reactive
     current, limit of |i_d|); see `_asked`.
@@ -182,15 +212,12 @@ def _device(x, v_re, v_im, u_re, u_im, c, s, asked, p):
     # DC voltage control; its integrator is held back while the current reference is limited.
     error_dc = v_dc - p.v_dc_ref_v
     i_d_wanted = p.k_dcp * error_dc + x[XI_DC]
-    i_d_ref = _limited(i_d_wanted, i_d_limit, p)
+    i_d_ref, beyond_current = _reference(i_d_wanted, wind, i_d_limit, p)
     # Current control; the converter gives v_dc / sqrt(2) at most, line-to-line RMS.
     error_d, error_q = i_d_ref - i_d, _missing(i_q, i_q_ref)
     v_d_wanted = p.k_p * error_d + x[XI_D] - p.k_rd_ohm * i_q
     v_q_wanted = p.k_p * error_q + x[XI_Q] + p.k_rd_ohm * i_d
-    wanted_squared = v_d_wanted * v_d_wanted + v_q_wanted * v_q_wanted
-    inverse = 1.0 / (v_dc * wanted_squared)  # one division serves the limit and the DC link
-    share = min(1.0, v_dc * math.sqrt(0.5 * v_dc * inverse))
-    v_conv_d, v_conv_q = share * v_d_wanted, share * v_q_wanted
+    v_conv_d, v_conv_q, inverse, factor, beyond_voltage = _converter(v_d_wanted, v_q_wanted, v_dc, wind)
     v_conv_re, v_conv_im = c * v_conv_d - s * v_conv_q, s * v_conv_d + c * v_conv_q
     machine, power_in = _machine(x, wind, p)
     power_out = v_conv_re * i_re + v_conv_im * i_im
@@ -202,21 +229,22 @@ def _device(x, v_re, v_im, u_re, u_im, c, s, asked, p):
         p.k_dci * error_dc + p.k_dci / p.k_dcp * (i_d_ref - i_d_wanted),
         p.k_i * error_d + p.k_i / p.k_p * (v_conv_d - v_d_wanted),
         p.k_i * error_q + p.k_i / p.k_p * (v_conv_q - v_q_wanted),
-        (power_in - power_out) * inverse * wanted_squared / p.c_dc_f,
-    ) + machine
+        (power_in - power_out) * inverse * factor / p.c_dc_f,
+    ) + machine, max(beyond_current, beyond_voltage)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _behind_grid(x, v_re, v_im, c, s, asked, r_grid, inverse_l_grid, p):
-    """Derivatives of all states with the device behind a Thevenin source ``v``."""
+    """Derivatives of all states with the device behind a Thevenin source ``v``, and `BEYOND`."""
     i_f_re, i_f_im = x[I_L_RE] - x[I_G_RE], x[I_L_IM] - x[I_G_IM]
     v_pcc_re, v_pcc_im = x[V_C_RE] + p.r_f_ohm * i_f_re, x[V_C_IM] + p.r_f_ohm * i_f_im
-    return _device(x, v_pcc_re, v_pcc_im, v_pcc_re, v_pcc_im, c, s, asked, p) + (
+    device, beyond = _device(x, v_pcc_re, v_pcc_im, v_pcc_re, v_pcc_im, c, s, asked, p)
+    return device + (
         i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
         i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
         (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
         (v_pcc_im - v_im - r_grid * x[I_G_IM]) * inverse_l_grid - p.w1_rad_s * x[I_G_RE],
-    )
+    ), beyond
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -250,10 +278,11 @@ def _notch(n, i_re, i_im, block, w1):
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _ideal_compensated(x, n, v_re, v_im, v_c_re, v_c_im, c, s, asked, block, p):
-    """Derivatives of device and notch at PCC voltage ``v``, shunt voltage ``v_c``."""
+    """Derivatives of device and notch at PCC voltage ``v``, shunt voltage ``v_c``, and `BEYOND`."""
     i_re, i_im = x[I_L_RE] - (v_re - v_c_re) / p.r_f_ohm, x[I_L_IM] - (v_im - v_c_im) / p.r_f_ohm
     u_re, u_im = _told(v_re, v_im, i_re, i_im, n, block)
-    return _device(x, v_re, v_im, u_re, u_im, c, s, asked, p), _notch(n, i_re, i_im, block, p.w1_rad_s)
+    device, beyond = _device(x, v_re, v_im, u_re, u_im, c, s, asked, p)
+    return device, _notch(n, i_re, i_im, block, p.w1_rad_s), beyond
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -278,18 +307,32 @@ def _grid_compensated(x, n, v_re, v_im, fault, c, s, lane, block, p):
     v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(x, fault, p)
     i_re, i_im = x[I_L_RE] - i_f_re, x[I_L_IM] - i_f_im
     u_re, u_im = _told(v_pcc_re, v_pcc_im, i_re, i_im, n, block)
-    return _device(x, v_pcc_re, v_pcc_im, u_re, u_im, c, s, asked, p) + (
-        i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
-        i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
-        (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
-        (v_pcc_im - v_im - r_grid * x[I_G_IM]) * inverse_l_grid - p.w1_rad_s * x[I_G_RE],
-    ), _notch(n, i_re, i_im, block, p.w1_rad_s)
+    device, beyond = _device(x, v_pcc_re, v_pcc_im, u_re, u_im, c, s, asked, p)
+    return (
+        device
+        + (
+            i_f_re / p.c_f_f + p.w1_rad_s * x[V_C_IM],
+            i_f_im / p.c_f_f - p.w1_rad_s * x[V_C_RE],
+            (v_pcc_re - v_re - r_grid * x[I_G_RE]) * inverse_l_grid + p.w1_rad_s * x[I_G_IM],
+            (v_pcc_im - v_im - r_grid * x[I_G_IM]) * inverse_l_grid - p.w1_rad_s * x[I_G_RE],
+        ),
+        _notch(n, i_re, i_im, block, p.w1_rad_s),
+        beyond,
+    )
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _moved_4(x, h, k):
     """``x + h k`` for the notch's states."""
     return x[0] + h * k[0], x[1] + h * k[1], x[2] + h * k[2], x[3] + h * k[3]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _moved(x, h, k):
+    """``x + h k``; ``x`` where there is no derivative."""
+    if k is None:
+        return x
+    return x + h * k
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -304,11 +347,11 @@ def _moved_13(x, h, k):
         x[5] + h * k[5],
         x[6] + h * k[6],
         x[7] + h * k[7],
-        x[8] + h * k[8],
-        x[9] + h * k[9],
-        x[10] + h * k[10],
-        x[11] + h * k[11],
-        x[12] + h * k[12],
+        _moved(x[8], h, k[8]),
+        _moved(x[9], h, k[9]),
+        _moved(x[10], h, k[10]),
+        _moved(x[11], h, k[11]),
+        _moved(x[12], h, k[12]),
     )
 
 
@@ -343,15 +386,36 @@ def _load_13(x, lane):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _asked(x, lane, reactive):
+def _asked(x, lane, reactive, calm):
     """What the lane's device is asked for: wind speed, reactive current, and the limit of |i_d|.
 
     ``reactive`` is None where no lane of a batch is asked for reactive power: numba then compiles the kernel without
     it, to the last bit the one that knows no reactive power (a sum with a zero would be rounded in another order).
+
+    ``calm`` is None or True. The machine of a calm lane stands still, and no limit is met: the kernel is compiled
+    without the machine and without the limits, whose square root and division are what each stage of a step waits for
+    longest. `BEYOND` says of each lane whether that was right: where it is positive the lane is to go the way again.
     """
+    wind = _wind(x, lane, calm)
     if reactive is None:
-        return x[WIND * LANES + lane], None, None
-    return x[WIND * LANES + lane], x[I_Q_REF * LANES + lane], x[I_D_LIMIT * LANES + lane]
+        return wind, None, None
+    return wind, x[I_Q_REF * LANES + lane], x[I_D_LIMIT * LANES + lane]
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _wind(x, lane, calm):
+    """Wind speed (m/s); none where it reaches nothing."""
+    if calm is None:
+        return x[WIND * LANES + lane]
+    return None
+
+
+@njit(forceinline=True, fastmath=_FAST, error_model="numpy")
+def _remember(x, lane, calm, beyond):
+    """How far beyond a limit a calm lane came in the four stages of a step."""
+    if calm is not None:
+        far = max(max(beyond[0], beyond[1]), max(beyond[2], beyond[3]))
+        x[BEYOND * LANES + lane] = max(far, x[BEYOND * LANES + lane])
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -509,11 +573,11 @@ def _source(x, lane):
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal(reactive, x, p, h, decay):
+def _step_ideal(reactive, calm, x, p, h, decay):
     """One step with the source at the PCC itself; ``decay`` is the shunt's over a step."""
     decay_re, decay_im = decay
     for lane in range(LANES):
-        asked = _asked(x, lane, reactive)
+        asked = _asked(x, lane, reactive, calm)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
         y = _load_13(x, lane)
         v_c_re, v_c_im = x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane]
@@ -530,25 +594,26 @@ def _step_ideal(reactive, x, p, h, decay):
         x[V_C_RE * LANES + lane] = forced[4] + rest_re * decay_re - rest_im * decay_im
         x[V_C_IM * LANES + lane] = forced[5] + rest_im * decay_re + rest_re * decay_im
         c, s = _cos_sin(y[DELTA])
-        k1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, asked, p)
+        k1, b1 = _device(y, v0_re, v0_im, v0_re, v0_im, c, s, asked, p)
         z = _moved_13(y, 0.5 * h, k1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, asked, p)
+        k2, b2 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, asked, p)
         z = _moved_13(y, 0.5 * h, k2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, asked, p)
+        k3, b3 = _device(z, v1_re, v1_im, v1_re, v1_im, cz, sz, asked, p)
         z = _moved_13(y, h, k3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, asked, p)
+        k4, b4 = _device(z, v2_re, v2_im, v2_re, v2_im, cz, sz, asked, p)
         y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         _store_13(x, lane, y)
+        _remember(x, lane, calm, (b1, b2, b3, b4))
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin(reactive, x, p, h):
+def _step_thevenin(reactive, calm, x, p, h):
     """One step behind the lane's Thevenin impedance."""
     for lane in range(LANES):
-        asked, r, l_1 = _asked(x, lane, reactive), x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+        asked, r, l_1 = _asked(x, lane, reactive, calm), x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
         y = _load_13(x, lane) + (
             x[V_C_RE * LANES + lane],
@@ -565,28 +630,29 @@ def _step_thevenin(reactive, x, p, h):
             y[I_G_IM],
         )
         c, s = _cos_sin(y[DELTA])
-        k1 = _behind_grid(y, v0_re, v0_im, c, s, asked, r, l_1, p)
+        k1, b1 = _behind_grid(y, v0_re, v0_im, c, s, asked, r, l_1, p)
         z = _moved_17(y, 0.5 * h, k1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2 = _behind_grid(z, v1_re, v1_im, cz, sz, asked, r, l_1, p)
+        k2, b2 = _behind_grid(z, v1_re, v1_im, cz, sz, asked, r, l_1, p)
         z = _moved_17(y, 0.5 * h, k2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3 = _behind_grid(z, v1_re, v1_im, cz, sz, asked, r, l_1, p)
+        k3, b3 = _behind_grid(z, v1_re, v1_im, cz, sz, asked, r, l_1, p)
         z = _moved_17(y, h, k3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4 = _behind_grid(z, v2_re, v2_im, cz, sz, asked, r, l_1, p)
+        k4, b4 = _behind_grid(z, v2_re, v2_im, cz, sz, asked, r, l_1, p)
         y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         _store_13(x, lane, y)
+        _remember(x, lane, calm, (b1, b2, b3, b4))
         x[V_C_RE * LANES + lane], x[V_C_IM * LANES + lane] = y[V_C_RE], y[V_C_IM]
         x[I_G_RE * LANES + lane], x[I_G_IM * LANES + lane] = y[I_G_RE], y[I_G_IM]
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_ideal_compensated(reactive, x, p, h, decay):
+def _step_ideal_compensated(reactive, calm, x, p, h, decay):
     """`_step_ideal` with the lanes' compensation before the controller; ``decay`` is over half a step."""
     half_re, half_im = decay
     for lane in range(LANES):
-        asked, block = _asked(x, lane, reactive), _load_4(x, COMP_R, lane)
+        asked, block = _asked(x, lane, reactive, calm), _load_4(x, COMP_R, lane)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), forced = _source(x, lane)
         y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
         # Shunt: exact forced response plus the decaying rest of what went before.
@@ -606,28 +672,29 @@ def _step_ideal_compensated(reactive, x, p, h, decay):
             y[I_L_IM] - (v0_im - c0_im) / p.r_f_ohm,
         )
         c, s = _cos_sin(y[DELTA])
-        k1, m1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, asked, block, p)
+        k1, m1, b1 = _ideal_compensated(y, n, v0_re, v0_im, c0_re, c0_im, c, s, asked, block, p)
         z, o = _moved_13(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2, m2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, asked, block, p)
+        k2, m2, b2 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, asked, block, p)
         z, o = _moved_13(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3, m3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, asked, block, p)
+        k3, m3, b3 = _ideal_compensated(z, o, v1_re, v1_im, c1_re, c1_im, cz, sz, asked, block, p)
         z, o = _moved_13(y, h, k3), _moved_4(n, h, m3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4, m4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, asked, block, p)
+        k4, m4, b4 = _ideal_compensated(z, o, v2_re, v2_im, c2_re, c2_im, cz, sz, asked, block, p)
         y = _moved_13(_moved_13(_moved_13(_moved_13(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
         _store_13(x, lane, y)
+        _remember(x, lane, calm, (b1, b2, b3, b4))
         _store_4(x, NOTCH, lane, n)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
-def _step_thevenin_compensated(reactive, x, p, h, turn):
+def _step_thevenin_compensated(reactive, calm, x, p, h, turn):
     """`_step_thevenin` with compensation, and the lanes' fault at the PCC, turned by ``turn`` a half step."""
     turn_re, turn_im = turn
     for lane in range(LANES):
-        constants = _asked(x, lane, reactive), x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
+        constants = _asked(x, lane, reactive, calm), x[GRID_R * LANES + lane], x[GRID_1_L * LANES + lane]
         block = _load_4(x, COMP_R, lane)
         (v0_re, v0_im, v1_re, v1_im, v2_re, v2_im), _ = _source(x, lane)
         share, re, im = (
@@ -645,19 +712,20 @@ def _step_thevenin_compensated(reactive, x, p, h, turn):
         v_pcc_re, v_pcc_im, i_f_re, i_f_im = _at_pcc(y, fault_0, p)
         _listen(x, lane, v_pcc_re, v_pcc_im, y[I_L_RE] - i_f_re, y[I_L_IM] - i_f_im)
         c, s = _cos_sin(y[DELTA])
-        k1, m1 = _grid_compensated(y, n, v0_re, v0_im, fault_0, c, s, constants, block, p)
+        k1, m1, b1 = _grid_compensated(y, n, v0_re, v0_im, fault_0, c, s, constants, block, p)
         z, o = _moved_17(y, 0.5 * h, k1), _moved_4(n, 0.5 * h, m1)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k2, m2 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
+        k2, m2, b2 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
         z, o = _moved_17(y, 0.5 * h, k2), _moved_4(n, 0.5 * h, m2)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k3, m3 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
+        k3, m3, b3 = _grid_compensated(z, o, v1_re, v1_im, fault_1, cz, sz, constants, block, p)
         z, o = _moved_17(y, h, k3), _moved_4(n, h, m3)
         cz, sz = _turned(c, s, z[DELTA] - y[DELTA])
-        k4, m4 = _grid_compensated(z, o, v2_re, v2_im, fault_2, cz, sz, constants, block, p)
+        k4, m4, b4 = _grid_compensated(z, o, v2_re, v2_im, fault_2, cz, sz, constants, block, p)
         y = _moved_17(_moved_17(_moved_17(_moved_17(y, h / 6.0, k1), h / 3.0, k2), h / 3.0, k3), h / 6.0, k4)
         n = _moved_4(_moved_4(_moved_4(_moved_4(n, h / 6.0, m1), h / 3.0, m2), h / 3.0, m3), h / 6.0, m4)
         _store_13(x, lane, y)
+        _remember(x, lane, calm, (b1, b2, b3, b4))
         _store_4(x, V_C_RE, lane, y[V_C_RE:])
         _store_4(x, NOTCH, lane, n)
 
@@ -683,13 +751,13 @@ def _keep(x, slot, kept, block):
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal(reactive, calm, table, x, n_tones, p, h, block_steps, slot, kept):
     """Advance all lanes by blocks, with the source at the PCC itself.
 
     Parameters
     ----------
-    reactive : True or None
-        Whether a lane is asked for reactive power; see `_asked`.
+    reactive, calm : True or None
+        Whether a lane is asked for reactive power; whether all machines stand still and no limit is met: see `_asked`.
     table : (n, 4, LANES) array
         Source voltage (re, im) and the shunt voltage that it forces, at the half steps of one period from the first
         step on; of no rows where the source is made of tones.
@@ -716,12 +784,12 @@ def advance_ideal(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_ideal(reactive, x, p, h, decay)
+            _step_ideal(reactive, calm, x, p, h, decay)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin(reactive, calm, table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' Thevenin impedances before the PCC."""
     _prepare_source(x, n_tones)
     row = 0
@@ -729,12 +797,12 @@ def advance_thevenin(reactive, table, x, n_tones, p, h, block_steps, slot, kept)
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_thevenin(reactive, x, p, h)
+            _step_thevenin(reactive, calm, x, p, h)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_ideal_compensated(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_ideal_compensated(reactive, calm, table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the source at the PCC and the lanes' compensation before the controller."""
     decay = _shunt_decay(p, 0.5 * h)
     _prepare_source(x, n_tones)
@@ -743,12 +811,12 @@ def advance_ideal_compensated(reactive, table, x, n_tones, p, h, block_steps, sl
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_ideal_compensated(reactive, x, p, h, decay)
+            _step_ideal_compensated(reactive, calm, x, p, h, decay)
         _keep(x, slot, kept, block)
 
 
 @njit(nogil=True, fastmath=_FAST, error_model="numpy", cache=True)
-def advance_thevenin_compensated(reactive, table, x, n_tones, p, h, block_steps, slot, kept):
+def advance_thevenin_compensated(reactive, calm, table, x, n_tones, p, h, block_steps, slot, kept):
     """`advance_ideal` with the lanes' impedances, compensations and faults."""
     turn = math.cos(p.w1_rad_s * h), -math.sin(p.w1_rad_s * h)  # exp(-2j w1 h / 2)
     _prepare_source(x, n_tones)
@@ -757,7 +825,7 @@ def advance_thevenin_compensated(reactive, table, x, n_tones, p, h, block_steps,
         _clear_sums(x)
         for _ in range(block_steps):
             row = _next_source(x, n_tones, table, row)
-            _step_thevenin_compensated(reactive, x, p, h, turn)
+            _step_thevenin_compensated(reactive, calm, x, p, h, turn)
         _keep(x, slot, kept, block)
 
 
@@ -772,7 +840,7 @@ def advance_tracing(reactive, x, p, h, sample_steps, samples):
     for k in range(samples.shape[0]):
         samples[k, 4], samples[k, 5], samples[k, 6] = x[V_DC * LANES], x[W_M * LANES], x[DELTA * LANES]
         for step in range(sample_steps):
-            _step_thevenin_compensated(reactive, x, p, h, turn)
+            _step_thevenin_compensated(reactive, None, x, p, h, turn)
             if step == 0:
                 for quantity in range(4):
                     samples[k, quantity] = x[(V_RE + quantity) * LANES]

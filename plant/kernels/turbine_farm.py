@@ -184,11 +184,12 @@ def _law_of(p, k_opt):
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _slopes(reactive, x, lane, z, o, c, s, p):
     """Derivatives of the device in state ``z`` and of the notch in state ``o``, under what the lane sees."""
-    asked, block = _asked(x, lane, reactive), _load_4(x, COMP_R, lane)
+    asked, block = _asked(x, lane, reactive, None), _load_4(x, COMP_R, lane)
     law = _law_of(p, x[LAW * LANES + lane])
     v_re, v_im, i_re, i_im = _load_4(x, SEEN, lane)
     u_re, u_im = _told(v_re, v_im, i_re, i_im, o, block)
-    return _device(z, v_re, v_im, u_re, u_im, c, s, asked, law), _notch(o, i_re, i_im, block, law.w1_rad_s)
+    device, _ = _device(z, v_re, v_im, u_re, u_im, c, s, asked, law)
+    return device, _notch(o, i_re, i_im, block, law.w1_rad_s)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")

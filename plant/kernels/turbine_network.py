@@ -82,7 +82,8 @@ def _network_compensated(x, n, seen, c, s, asked, block, p):
     """Derivatives of device and notch; ``seen`` is PCC voltage and current out of the turbine."""
     v_re, v_im, i_re, i_im = seen
     u_re, u_im = _told(v_re, v_im, i_re, i_im, n, block)
-    return _device(x, v_re, v_im, u_re, u_im, c, s, asked, p), _notch(n, i_re, i_im, block, p.w1_rad_s)
+    device, _ = _device(x, v_re, v_im, u_re, u_im, c, s, asked, p)
+    return device, _notch(n, i_re, i_im, block, p.w1_rad_s)
 
 
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
@@ -95,7 +96,7 @@ def _step_network(reactive, x, p, h, net):
     by_whole, by_second = _entries(net.by_whole), _entries(net.by_second)
     turn = net.turn[0], net.turn[1]
     for lane in range(LANES):
-        asked, block = _asked(x, lane, reactive), _load_4(x, COMP_R, lane)
+        asked, block = _asked(x, lane, reactive, None), _load_4(x, COMP_R, lane)
         voltage, current = _source(x, lane)
         y, n = _load_13(x, lane), _load_4(x, NOTCH, lane)
         free_0, free_1, free_2 = _load_4(x, FREE, lane), _load_4(x, FREE + 4, lane), _load_4(x, FREE + 8, lane)

@@ -2,21 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import sqrt
+from typing import NamedTuple
 
 from ..circuits.circuit import Circuit
 from ..protocol import Job, OperatingPoint
+from .equilibrium import machine_stands
+from .parameters import TurbineParameters
+from .state import TurbineState
 
 
-def kind_of(job: Job) -> tuple[str, bool, Circuit | None]:
-    """Kind of the source, whether reactive power is asked for, and the network."""
-    return job.state.source.kind, job.state.i_q_ref_a != 0.0, job.state.source.circuit
+class Kind(NamedTuple):
+    """What decides on the kernel of a job.
+
+    Attributes
+    ----------
+    source : str
+        Kind of the source.
+    reactive : bool
+        Whether reactive power is asked for.
+    circuit : Circuit or None
+        The network.
+    calm : bool
+        Whether the machine stands still: nothing but wind moves it.
+    """
+
+    source: str
+    reactive: bool
+    circuit: Circuit | None
+    calm: bool
 
 
-def order_of(kind: tuple[str, bool, Circuit | None]) -> tuple[str, bool, str]:
+def kinds_of(jobs: Sequence[Job], p: TurbineParameters) -> list[Kind]:
+    """The kind of each job; most of them share a state."""
+    states = {id(job.state): job.state for job in jobs}
+    kinds = {key: _kind_of(state, p) for key, state in states.items()}
+    return [kinds[id(job.state)] for job in jobs]
+
+
+def _kind_of(state: TurbineState, p: TurbineParameters) -> Kind:
+    source = state.source
+    return Kind(
+        source.kind, is_reactive(state), source.circuit, machine_stands(p, state.values.tolist(), state.wind_m_s)
+    )
+
+
+def is_reactive(state: TurbineState) -> bool:
+    """Whether reactive power is asked for."""
+    return state.i_q_ref_a != 0.0
+
+
+def order_of(kind: Kind) -> tuple[str, bool, str, bool]:
     """Ideal sources first, then lines, then networks."""
-    source, reactive, circuit = kind
-    return {"ideal": "0", "thevenin": "1"}.get(source, "2"), reactive, "" if circuit is None else repr(circuit)
+    circuit = "" if kind.circuit is None else repr(kind.circuit)
+    return {"ideal": "0", "thevenin": "1"}.get(kind.source, "2"), kind.reactive, circuit, kind.calm
 
 
 def power_of(operating_point: OperatingPoint) -> complex:

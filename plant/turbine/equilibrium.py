@@ -6,11 +6,15 @@ frame. All are power-invariant; `dpmsg_parameters` states the machine's equation
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi, sqrt
 from typing import NamedTuple
 
 from ..errors import SeqsweepError
 from .parameters import TurbineParameters
+
+STANDS = 1e-12
+"""Relative distance from its equilibrium up to which a machine stands still: what rounding leaves of it."""
 
 
 class MachineEquilibrium(NamedTuple):
@@ -66,7 +70,26 @@ def machine_equilibrium(p: TurbineParameters, power_w: float) -> MachineEquilibr
     SeqsweepError
         If the power is not positive, or more than the torque law can deliver through Rs.
     """
-    w_m = _rotor_speed(p, power_w)
+    return _machine_at(p, _rotor_speed(p, power_w))
+
+
+def machine_stands(p: TurbineParameters, values: Sequence[float], wind_m_s: float) -> bool:
+    """Whether the machine of a turbine in the state ``values`` (as the kernel orders them) is at rest in that wind.
+
+    Nothing but the wind reaches it: it then stands still whatever happens on the grid side.
+    """
+    rest = _machine_at(p, wind_m_s * _tip_speed_ratio(p) / p.radius_m)
+    i_d, i_q, xi_d, xi_q, w_m = values[8:13]
+    off = (
+        max(abs(i_d - rest.i_d), abs(i_q - rest.i_q)) / rest.i_q,
+        max(abs(xi_d - rest.xi_d), abs(xi_q - rest.xi_q)) / rest.xi_q,
+        abs(w_m - rest.w_m) / rest.w_m,
+    )
+    return max(map(abs, off)) <= STANDS
+
+
+def _machine_at(p: TurbineParameters, w_m: float) -> MachineEquilibrium:
+    """Machine side at rest at rotor speed ``w_m`` (rad/s)."""
     w_e = p.pole_pairs * w_m
     i_q = p.k_opt * w_m**2 / (p.pole_pairs * p.flux_wb)
     v_d = w_e * p.l_s_h * i_q

@@ -43,10 +43,11 @@ from ..space_vectors import PHASE_PEAK
 from ..under_way import Clockwork, in_lanes, of_each, standing
 from . import behind_network as network
 from . import equilibrium as stationary
-from .asked import kind_of, left_to_d, order_of, power_of
+from .asked import Kind, is_reactive, kinds_of, left_to_d, order_of, power_of
 from .flow import poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .state import TurbineState
+from .steps import Steps, of_fourth_order, of_second_order
 from .tone_table import common_period, waveform
 from .under_way import clockwork_of, lanes_under_way
 
@@ -112,6 +113,8 @@ class ReferenceTurbine:
         self.dt_s = float(dt_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
+        # the batches of an operating point settle one after the other
+        self._settled: tuple[tuple[OperatingPoint, Source], TurbineState] | None = None
         u = self.parameters.u_rated_v
         self.operating_range = OperatingRange((0.05e6, 1.35e6), (0.85 * u, 1.15 * u), (-0.6e6, 0.6e6))
 
@@ -127,8 +130,12 @@ class ReferenceTurbine:
         NotSettled
             If there is no equilibrium ("not_settled") or it is unstable ("diverged").
         """
-        state = self.equilibrium(operating_point, source)
+        asked, known = (operating_point, source), self._settled
+        if known is not None and known[0] == asked:
+            return known[1]
+        state = self.equilibrium(*asked)
         self._certify(state)
+        self._settled = asked, state
         return state
 
     def equilibrium(self, operating_point: OperatingPoint, source: Source) -> TurbineState:
@@ -233,19 +240,10 @@ class ReferenceTurbine:
     def _compensated(self) -> bool:
         return self.compensation != Compensation()
 
-    def kernel_for(self, source_kind: str, reactive: bool, table: np.ndarray) -> partial[None]:
-        """The kernel for a source, with reactive power or without, told its table; only that one is compiled."""
-        from ..kernels import turbine as kernel
-
-        ideal = source_kind == "ideal"
-        if self.integrator == "emt":
-            from ..kernels import turbine_emt
-
-            return partial(turbine_emt.advance_ideal if ideal else turbine_emt.advance_thevenin, reactive or None)
-        advance = kernel.advance_ideal if ideal else kernel.advance_thevenin
-        if self._compensated:
-            advance = kernel.advance_ideal_compensated if ideal else kernel.advance_thevenin_compensated
-        return partial(advance, reactive or None, table)
+    def steps_of(self, kind: Kind, table: np.ndarray) -> Steps:
+        """What steps jobs of a kind on a source or behind a line, told their table; only that one is compiled."""
+        of = of_second_order if self.integrator == "emt" else of_fourth_order
+        return of(kind, self._compensated, table)
 
     def tones_of(self, job: Job) -> list[tuple[float, complex]]:
         """Tones of a job as (frequency in the dq frame in Hz, power-invariant voltage at time zero in V)."""
@@ -346,7 +344,7 @@ class ReferenceTurbine:
         lanes = np.repeat(lane, kernel.LANES)
         cut = ceil(self.dt_s / (p.r_f_ohm * p.c_f_f) * (1.0 - 1e-9))
         samples = np.empty((n_steps, 7))
-        kernel.advance_tracing(kind_of(Job(start, None))[1] or None, lanes, p, self.dt_s / cut, cut, samples)
+        kernel.advance_tracing(is_reactive(start) or None, lanes, p, self.dt_s / cut, cut, samples)
         (end,) = self._ends(lanes, [Job(start, None)], n_steps)
         return end, samples
 
@@ -357,7 +355,7 @@ class ReferenceTurbine:
         job = Job(start, None)
         lane = self.columns([job], [Window(0.0, 1)], 1, 1)[0][:, 0]
         self._set_port(lane, start, replace(conditions, fault_s=SOUND))
-        lanes, samples, after = network.traced(lane, job, kind_of(job)[1], p, self.dt_s, conditions.fault_s, n_steps)
+        lanes, samples, after = network.traced(lane, job, is_reactive(start), p, self.dt_s, conditions.fault_s, n_steps)
         (end,) = self._ends(lanes, [job], n_steps)
         return after(end), samples
 
@@ -389,13 +387,13 @@ class ReferenceTurbine:
     ) -> Iterator[tuple[np.ndarray, list[int], Callable[..., None], int]]:
         """Flat arrays of up to LANES jobs of one kind: (array, job indices, kernel, tones).
 
-        The kind is that of the source, and whether reactive power is asked for: a job ends with the same bytes
-        whatever it is run together with.
+        A job ends with the same bytes whatever it is run together with.
         """
         from ..kernels.turbine import LANES
 
-        for kind in sorted({kind_of(job) for job in jobs}, key=order_of):
-            of_kind = [m for m, job in enumerate(jobs) if kind_of(job) == kind]
+        kinds = kinds_of(jobs, self.parameters)
+        for kind in sorted(set(kinds), key=order_of):
+            of_kind = [m for m, own in enumerate(kinds) if own == kind]
             for first in range(0, len(of_kind), LANES):
                 members = of_kind[first : first + LANES]
                 together = [jobs[m] for m in members]
@@ -403,14 +401,11 @@ class ReferenceTurbine:
                 n_tones = 0 if len(table) else max(n_tones_of(job.injection) for job in together)
                 columns, _ = self.columns(together, [windows[m] for m in members], block_steps, n_tones)
                 (lanes,) = in_lanes(columns, np.arange(len(together)))
-                yield lanes.ravel(), members, self._advance_of(together, table), n_tones
-
-    def _advance_of(self, jobs: list[Job], table: np.ndarray) -> Callable[..., None]:
-        """What steps jobs of one kind."""
-        source, reactive, circuit = kind_of(jobs[0])
-        if circuit is not None:
-            return network.NetworkKernel(jobs, reactive, table, self.parameters, self.dt_s)
-        return self.kernel_for(source, reactive, table)
+                if kind.circuit is None:
+                    advance: Callable[..., None] = self.steps_of(kind, table)
+                else:
+                    advance = network.NetworkKernel(together, kind.reactive, table, self.parameters, self.dt_s)
+                yield lanes.ravel(), members, advance, n_tones
 
     def columns(
         self, jobs: Sequence[Job], windows: Sequence[Window], block_steps: int, n_tones: int

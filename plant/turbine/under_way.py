@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..kernels.compiled import each
 from ..lanes import n_tones_of
 from ..protocol import Job, Window
 from ..space_vectors import PHASE_PEAK
 from ..under_way import Advance, Clockwork, LanesUnderWay, Places, Rider, of_each
-from .asked import kind_of, order_of
+from .asked import Kind, kinds_of, order_of
 from .tone_table import FEWEST
 
 if TYPE_CHECKING:
@@ -28,10 +27,11 @@ def lanes_under_way(
     n_tones = max(n_tones_of(job.injection) for job in jobs)
     if n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
         return None
-    kinds = sorted({kind_of(job) for job in jobs}, key=order_of)
-    numbers = np.array([kinds.index(kind_of(job)) for job in jobs])
+    of_jobs = kinds_of(jobs, turbine.parameters)
+    kinds = sorted(set(of_jobs), key=order_of)
+    numbers = np.array([kinds.index(kind) for kind in of_jobs])
     columns, clockwork = turbine.columns(jobs, windows, block_steps, n_tones)
-    advance = [_advance(turbine, source, reactive, n_tones, block_steps) for source, reactive, _ in kinds]
+    advance = [_advance(turbine, kind, n_tones, block_steps) for kind in kinds]
     return LanesUnderWay(columns, clockwork, numbers, advance, kernel.N_STATES, (PHASE_PEAK, -PHASE_PEAK))
 
 
@@ -50,14 +50,12 @@ def clockwork_of(
     return Clockwork(riders, places, n_tones, block_steps, turbine.dt_s)
 
 
-def _advance(turbine: ReferenceTurbine, source: str, reactive: bool, n_tones: int, block_steps: int) -> Advance:
+def _advance(turbine: ReferenceTurbine, kind: Kind, n_tones: int, block_steps: int) -> Advance:
     from ..kernels import turbine as kernel
 
-    step = turbine.kernel_for(source, reactive, np.zeros((0, 4, kernel.LANES)))
+    steps = turbine.steps_of(kind, np.zeros((0, 4, kernel.LANES)))
 
     def advance(lanes: np.ndarray, sums: np.ndarray) -> None:
-        common = n_tones, turbine.parameters, turbine.dt_s, block_steps, kernel.SUM_V
-        arguments = [*step.args, lanes, *common, sums]
-        each(step.func, arguments, (len(step.args), len(arguments) - 1))
+        steps.each(lanes, n_tones, turbine.parameters, turbine.dt_s, block_steps, kernel.SUM_V, sums)
 
     return advance
