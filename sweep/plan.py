@@ -9,9 +9,9 @@ carries its shots, and a shot its injection and its window: whoever measures one
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from .excitation.signals import AXES, Axis, Signal, negated, tones
 if TYPE_CHECKING:
     from .excitation.adaptive_rounds import Adaptive  # a worker of black boxes needs none of its fits
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 """Part of every hash: raise it when the same shot gives another number."""
 
 EXPECTED_WINDOWS = 3.0
@@ -395,19 +395,32 @@ class Plan:
 
     def batches(self) -> Iterator[Batch]:
         """Work in the order in which it is best begun: longest windows first, per operating point."""
+        return (make() for make in self.makers())
+
+    def makers(self) -> Iterator[Callable[[], Batch]]:
+        """What makes each of the `batches`: whoever needs a few of many need not make the others."""
         for condition in self.conditions:
-            yield from self.batches_at(condition)
+            for of_any in self._at_any_condition:
+                yield partial(of_any.batch, condition)
 
     def batches_at(self, condition: Condition) -> list[Batch]:
         """The batches of one operating point."""
-        return [made.batch(condition) for made in self._at_any_condition]
+        return [of_any.batch(condition) for of_any in self._at_any_condition]
 
     def batch(self, condition: Condition, points: tuple[Frequency, ...]) -> Batch:
         """Some points of an operating point as a unit of work, under the hash of all that its result depends on."""
         return self._of_points(points).batch(condition)
 
-    @cached_property
+    @property
     def _at_any_condition(self) -> list[_AtAnyCondition]:
+        """Kept where several operating points share it: of 100,000 with a plan each it would be most of the memory."""
+        return self._shared if len(self.conditions) > 1 else self._made()
+
+    @cached_property
+    def _shared(self) -> list[_AtAnyCondition]:
+        return self._made()
+
+    def _made(self) -> list[_AtAnyCondition]:
         return [self._of_points(group) for group in self.groups()]
 
     def _of_points(self, points: tuple[Frequency, ...]) -> _AtAnyCondition:

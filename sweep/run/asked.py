@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import compress
 from typing import Protocol
 
@@ -39,7 +39,11 @@ class Asked:
         return sum(len(plan.groups()) * len(plan.conditions) for plan in self.plans)
 
     def __iter__(self) -> Iterator[Batch]:
-        return (batch for plan in self.plans for batch in plan.batches())
+        return (make() for make in self.makers())
+
+    def makers(self) -> Iterator[Callable[[], Batch]]:
+        """What makes each batch."""
+        return (make for plan in self.plans for make in plan.makers())
 
     def __add__(self, others: Asked) -> Asked:
         return Asked((*self.plans, *others.plans))
@@ -61,16 +65,16 @@ class Asked:
 
 
 class Missing:
-    """Those of some batches that are yet to be measured; a byte is kept of each."""
+    """Those of some batches that are yet to be measured, by a flag for each; a byte is kept of it."""
 
-    def __init__(self, asked: Iterable[Batch], flags: Iterable[bool]):
+    def __init__(self, asked: Asked, flags: Iterable[bool]):
         self._asked, self._flags = asked, bytes(flags)
 
     def __len__(self) -> int:
         return sum(self._flags)
 
     def __iter__(self) -> Iterator[Batch]:
-        return compress(self._asked, self._flags)
+        return (make() for make in compress(self._asked.makers(), self._flags))
 
 
 def work_of(points: Sequence[Frequency]) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +34,9 @@ __all__ = ["Interrupted", "Outcome", "RunError", "Runner", "response_of", "run",
 
 Report = Callable[[int, int, float], None]
 """Called with (points done, points in all, share of the work done) whenever a batch is kept."""
+
+MANY = 10_000
+"""So many batches take some seconds to be looked for among what an earlier run left."""
 
 BatchesOf = Callable[[Sequence[Frequency]], Asked]
 """The batches of some points, at the amplitude that is theirs."""
@@ -203,7 +207,7 @@ class Runner:
     def _bring(self, results: Pool, asked: Asked, report: Report) -> None:
         """Bring the result of every batch into the store."""
         total, work = asked.n_points, asked.work
-        missing = Missing(asked, (not self.store.holds(batch) for batch in asked))
+        missing = Missing(asked, self._yet_to_do(asked))
         done = total - sum(len(batch.points) for batch in missing)
         left = sum(work_of(batch.points) for batch in missing)
         self._tell(done, total - done)
@@ -214,6 +218,14 @@ class Runner:
                 done += len(batch.points)
                 left -= work_of(batch.points)
                 report(done, total, 1.0 - left / work)
+
+    def _yet_to_do(self, asked: Asked) -> Iterable[bool]:
+        """Of each batch whether an earlier run left it; that of many batches is found in seconds, and said before."""
+        if self.store.is_empty:
+            return repeat(True, len(asked))
+        if len(asked) >= MANY:
+            self.say(f"looking for what is measured already of {asked.n_points} points")
+        return (not self.store.holds(batch) for batch in asked)
 
     def _measure_in_rounds(self, results: Pool, batches_of: BatchesOf) -> Swept:
         """The rounds of an adaptive grid, until its interpolation is certified, or its points are used up."""
@@ -279,6 +291,8 @@ def _refuse_strangers(plan: Plan, store: Folder) -> None:
         return
     for batch in Asked(pilots(plan).plans if plan.automatic else (plan,)):
         strangers.discard(batch.key)
+        if not strangers:
+            return
     if (plan.adaptive is not None or plan.automatic) and len(strangers) < n_kept:
         return  # shards of the first round are ours: so may be those of further rounds
     if strangers:

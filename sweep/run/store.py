@@ -19,6 +19,11 @@ LOOSE = 256
 class Store(Protocol):
     """Where the results of batches are kept while a campaign runs."""
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no result yet."""
+        ...
+
     def read(self, batch: Batch) -> BatchResult | None:
         """The result of a batch; None where there is none, or it is damaged."""
 
@@ -47,6 +52,10 @@ class Folder:
         self._numbers = packs.numbers(path)
         self._places = _sorted([packs.places(path, number) for number in self._numbers])
         self._fresh: list[np.ndarray] = []
+
+    @property
+    def is_empty(self) -> bool:
+        return not self._loose and not len(self._places) and not self._fresh
 
     def read(self, batch: Batch) -> BatchResult | None:
         loose = shards.read(self.path, batch.key)
@@ -103,6 +112,10 @@ class Memory:
 
     def __init__(self) -> None:
         self._kept: dict[str, tuple[Batch, BatchResult]] = {}
+
+    @property
+    def is_empty(self) -> bool:
+        return not self._kept
 
     def read(self, batch: Batch) -> BatchResult | None:
         kept = self._kept.get(batch.key)
