@@ -15,7 +15,9 @@ demo: $(READY)
 	$(BIN)/seqsweep show build/table1.parquet --plot build/table1.png
 
 # Three workers on two cores: tests that wait for a time limit or for a process to end leave a core to others.
+# Byte code first, also where PYTHONDONTWRITEBYTECODE is set: the tests begin hundreds of processes.
 test: $(READY)
+	$(BIN)/python -m compileall -q seqsweep plant identify tuning sweep
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations=20 --durations-min=1
 
 lint: $(READY)

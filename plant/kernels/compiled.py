@@ -302,10 +302,11 @@ def callback(kernel: Kernel, cell: int) -> int:
     """Address of an int32 function of an address, for whatever calls functions by address.
 
     It calls the kernel with that address, and gives what then stands in the cell of that number, of 8 bytes each.
+    Zero where the kernel is numba's own: see `address_of`.
     """
     code = kernel._code((0,))
     if not isinstance(code, _Loaded):
-        raise SystemError(f"{kernel.py_func.__name__} needs the interpreter: it cannot be called by its address")
+        return 0
     engine = _linked(f"""
 define i32 @callback(i64 %block) {{
   %room = alloca [2 x ptr]
@@ -319,6 +320,15 @@ define i32 @callback(i64 %block) {{
 }}
 """)
     return int(engine.get_function_address("callback"))
+
+
+def address_of(function: Callable[[int], int]) -> int:
+    """Address of an int32 function of an address, compiled by numba in every process."""
+    import numba
+
+    made = numba.cfunc(numba.int32(numba.int64))(function)
+    _engines.append(made)
+    return int(made.address or 0)
 
 
 def _linked(text: str) -> Any:

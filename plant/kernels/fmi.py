@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 
-from .compiled import callback, intrinsic, njit
+from .compiled import address_of, callback, intrinsic, njit
 
 WARNING = 1
 """Statuses up to this one let a step go on."""
@@ -198,7 +198,18 @@ def _step_3(block):
 @functools.cache
 def step_of(version):
     """Address of the step of a major version of the standard: an int32 function of a block's address."""
-    return callback({2: _step_2, 3: _step_3}[version], STATUS)
+    step = {2: _step_2, 3: _step_3}[version]
+    return callback(step, STATUS) or address_of(_answering(step))
+
+
+def _answering(step):
+    """The step as a function that gives its status, for numba to compile: its version's insides are not as ours."""
+
+    def answer(block):
+        step(block)
+        return _whole(block, STATUS)
+
+    return answer
 
 
 @njit(nogil=True, cache=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqsweep.plant.kernels import branch, compiled, kept
+from seqsweep.plant.kernels import branch, compiled, fmi, kept
 
 KERNEL = """
 import json, sys
@@ -260,3 +261,44 @@ def test_a_kernel_over_stacks_is_the_kernel_over_each_of_their_entries():
         branch.advance_recording(of_current, moving, rotations, *constants, of_v, of_i)
     for found, expected in zip((current, v, i), zip(*twin, strict=True), strict=True):
         assert np.array_equal(found, expected)
+
+
+DO_STEP = {2: "qddi", 3: "qddiqqqq"}
+"""What the standard's step function takes: the instance, time (s), step (s), flags and addresses."""
+
+
+def stepped(version: int) -> tuple[int, list[float], int, int]:
+    """Steps of an FMU that fails behind 0.25 ms: rows done, times asked for, where it ended and how."""
+    asked: list[float] = []
+    kinds = [{"q": ctypes.c_int64, "d": ctypes.c_double, "i": ctypes.c_int32}[kind] for kind in DO_STEP[version]]
+
+    @ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)
+    def do_step(*given):
+        asked.append(given[1])
+        return 3 if given[1] > 2.5e-4 else 0
+
+    block, done, none = np.zeros(fmi.N_CELLS, np.int64), np.zeros(1, np.int64), np.zeros(0)
+    block[fmi.DO_STEP], times = ctypes.cast(do_step, ctypes.c_void_p).value or 0, block.view(np.float64)
+    rows, time = np.zeros((5, 0)), times[fmi.TIME : fmi.TIME + 1]
+    fmi.advance(fmi.step_of(version), block.ctypes.data, time, 1, 1e-4, none, none, rows, rows, done)
+    return int(done[0]), asked, int(block[fmi.WHERE]), int(block[fmi.STATUS])
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_is_stepped_where_numba_is_inside_not_as_the_compiler_knows_it(version, monkeypatch):
+    """Numba alone then makes the kernels and the step that is called by its address."""
+    known = stepped(version)
+    assert known == (2, [pytest.approx(k * 1e-4) for k in (1, 2, 3)], fmi.STEP, 3)
+
+    def unknown(*_):
+        raise AttributeError("numba has no such attribute")
+
+    monkeypatch.setattr("seqsweep.plant.kernels.compiler.code_of", unknown)
+    monkeypatch.setattr(compiled, "read", lambda path: None)
+    monkeypatch.setattr(compiled, "write", lambda path, name, code: (name, code))
+    name = f"_step_{version}"
+    fresh = compiled.Kernel(getattr(fmi, name).py_func, {"nogil": True, "cache": True})
+    monkeypatch.setattr(fmi, name, fresh)
+    monkeypatch.setattr(fmi, "step_of", fmi.step_of.__wrapped__)
+    assert compiled.callback(fresh, fmi.STATUS) == 0
+    assert stepped(version) == known
