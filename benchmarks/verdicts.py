@@ -49,7 +49,7 @@ def main() -> int:
     """Run, print, and say whether the bars are met."""
     asked = arguments()
     asked.cache.mkdir(parents=True, exist_ok=True)
-    share, wanted = (0.0, partial(score.is_due, noise=score.NOISY)) if asked.due else (asked.swept, None)
+    share, wanted = (0.0, partial(score.is_nearly_due, noise=score.NOISY)) if asked.due else (asked.swept, None)
     one = partial(cases_of, asked.seed, share_swept=share, grids=asked.grids, cache=asked.cache, is_wanted=wanted)
     if asked.only is not None:
         print(*[score.line_of(case) for case in one(asked.only)], sep="\n")

@@ -63,7 +63,7 @@ def bars(cases: Sequence[Case]) -> list[Bar]:
     counted = [c for c in cases if not c.truth.hidden]
     light = [c for c in cases if resonance_is_asked(c)]
     noisy = [c for c in cases if c.spec.source == "exact" and c.noise >= 1e-4 and names_the_critical_mode(c)]
-    quiet = [c for c in cases if _is_noise_free(c) and c.truth.covered and names_the_critical_mode(c)]
+    quiet = [c for c in cases if is_asked_sharply(c)]
     named = [c for c in cases if np.isfinite(c.said.resonance.real)]
     return [
         _share("wrong", counted, lambda c: c.wrong, 0.1),
@@ -72,6 +72,12 @@ def bars(cases: Sequence[Case]) -> list[Bar]:
         _share(
             "undecided, covered, edge > 3 % away, noise <= 0.1 %",
             [c for c in cases if is_due(c, QUIET)],
+            undecided,
+            2.0,
+        ),
+        _share(
+            "the same, or without rows where the device is faintly active",
+            [c for c in cases if is_nearly_due(c, QUIET)],
             undecided,
             2.0,
         ),
@@ -114,11 +120,16 @@ def undecided(case: Case) -> bool:
 
 def is_due(case: Case, noise: float) -> bool:
     """Whether a verdict can be expected: the fact is known, rows cover the question, the edge is not near."""
+    return case.truth.covered and is_nearly_due(case, noise)
+
+
+def is_nearly_due(case: Case, noise: float) -> bool:
+    """The same, or rows are missing only where the device is faintly active."""
     return bool(
         case.spec.fact
         and not case.spec.float32
         and case.spec.outliers == 0
-        and case.truth.covered
+        and case.truth.nearly_covered
         and case.truth.distance > FAR
         and case.noise <= noise
     )
@@ -191,8 +202,10 @@ def pole_error(case: Case) -> float:
     return float(np.abs(case.truth.poles - case.said.resonance).min())
 
 
-def _is_noise_free(case: Case) -> bool:
-    return case.spec.source == "exact" and case.noise == 0.0 and not case.spec.float32
+def is_asked_sharply(case: Case) -> bool:
+    """Whether rows without noise cover the question, and its exact critical mode is named."""
+    noise_free = case.spec.source == "exact" and case.noise == 0.0 and not case.spec.float32
+    return noise_free and case.truth.nearly_covered and names_the_critical_mode(case)
 
 
 def count_is_right(case: Case) -> bool:
@@ -231,7 +244,8 @@ CONDITIONS: dict[str, Callable[[Case], bool]] = {
     "single precision": lambda c: c.spec.float32,
     "`stable_on` not known": lambda c: not c.spec.fact,
     "covered": lambda c: c.truth.covered,
-    "not covered": lambda c: not c.truth.covered,
+    "covered but for faint activity": lambda c: c.truth.nearly_covered and not c.truth.covered,
+    "not covered": lambda c: not c.truth.nearly_covered,
     "edge within 1 %": lambda c: c.truth.distance <= 0.01,
     "edge 1 to 3 % away": lambda c: 0.01 < c.truth.distance <= FAR,
     "edge farther away": lambda c: c.truth.distance > FAR,
@@ -298,13 +312,16 @@ def worst(cases: Sequence[Case], most: int = 25) -> list[str]:
         ("crash", lambda c: c.said.verdict == "crash"),
         ("phantom", lambda c: bool(np.isfinite(c.said.resonance.real)) and is_phantom(c)),
         ("resonance missed", lambda c: resonance_is_asked(c) and not resonance_is_right(c)),
-        ("withheld", lambda c: is_due(c, NOISY) and undecided(c)),
+        ("withheld", lambda c: is_nearly_due(c, NOISY) and undecided(c)),
         (
             "pole off",
-            lambda c: _is_noise_free(c) and c.truth.covered and names_the_critical_mode(c) and pole_error(c) > 2e-3,
+            lambda c: is_asked_sharply(c) and pole_error(c) > 2e-3,
         ),
     ]
     return [f"{kind}: {line_of(c)}" for kind, belongs in kinds for c in [c for c in cases if belongs(c)][:most]]
+
+
+_COVERED = {(True, True): ", covered", (False, True): ", covered but for faint activity", (False, False): ""}
 
 
 def line_of(case: Case) -> str:
@@ -325,8 +342,8 @@ def line_of(case: Case) -> str:
         f"{case.name} (grid {case.grid_number}) {case.family}: {case.text}; "
         f"{spec.source} {spec.spacing} {spec.signal}, {case.n_rows} rows, noise {spec.noise:.1e}{flags}, "
         f"error {case.error:.1e}, swept on {on}; grid {case.r_ohm:.6g}+{case.x_ohm:.6g}j ohm, SCR {case.scr:.3g}, edge "
-        f"{truth.distance:.2%} away{', covered' if truth.covered else ''}; truth {truth.n_unstable} unstable "
-        f"({case.own_unstable} own), critical {truth.critical:.4g}; said {said.verdict}, P(stable) "
-        f"{said.probability:.4g}, {said.n_unstable} unstable ({said.own_unstable} own), resonance "
-        f"{said.resonance:.4g}; {said.reason[:160]}"
+        f"{truth.distance:.2%} away{_COVERED[truth.covered, truth.nearly_covered]}; "
+        f"truth {truth.n_unstable} unstable ({case.own_unstable} own), critical {truth.critical:.4g}; "
+        f"said {said.verdict}, P(stable) {said.probability:.4g}, {said.n_unstable} unstable ({said.own_unstable} own), "
+        f"resonance {said.resonance:.4g}; {said.reason[:160]}"
     )

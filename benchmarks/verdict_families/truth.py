@@ -16,11 +16,13 @@ SLOW_HZ = 5.0
 """Modes below are slow modes, not resonances (dq, Hz)."""
 
 LOUD = 0.5
-"""Loop gain from which on rows are needed. One is where a loop at the edge stands at its critical frequency: on the
-stable side the gain is below one all around it, and yet rows are needed nowhere more."""
+"""Loop gain from which on rows are needed where faint activity asks for none. One is where a loop at the edge stands at
+its critical frequency: on the stable side the gain is below one all around it, and yet rows are needed nowhere more."""
 
 QUIET = 0.2
-"""Loop gain below which an active device cannot make a loop oscillate, whatever its phase, with something to spare."""
+"""Loop gain below which activity is faint: it cannot make a loop oscillate, whatever its phase, with some to spare."""
+
+_PLACES_HZ = np.geomspace(0.02, 8000.0, 400)
 
 VISIBLE = 5e-3
 """A mode that moves by less than this part of its size when the grid doubles is not seen at the terminals."""
@@ -42,6 +44,8 @@ class Truth:
         Relative distance of the nearest edge of stability in the size of the grid; inf where there is none.
     covered : bool
         Whether the table's rows cover the question; see `covers`.
+    nearly_covered : bool
+        The same, or only where the device is faintly active are rows missing; see `covers_all_but_faint`.
     critical : complex
         The exact mode that a resonance should name, NaN where none oscillates in the band (rad/s, Im > 0).
     critical_covered : bool
@@ -57,6 +61,7 @@ class Truth:
     poles: np.ndarray
     distance: float
     covered: bool
+    nearly_covered: bool
     critical: complex
     critical_covered: bool
     hidden: bool
@@ -68,12 +73,14 @@ def truth_of(unit: Unit, grid: tuple[float, float], distance: float, nu_hz: np.n
     critical = critical_mode(unit, grid, poles, nu_hz)
     oscillates = np.isfinite(critical.real)
     modes = seen_modes(poles, unit.device.own_poles)
+    covered = covers(unit, grid, nu_hz, modes)
     return Truth(
         stable=bool(poles.real.max() < 0.0),
         n_unstable=int(np.sum(poles.real > 0.0)),
         poles=poles,
         distance=distance,
-        covered=covers(unit, grid, nu_hz, modes),
+        covered=covered,
+        nearly_covered=covered or covers_all_but_faint(unit, grid, nu_hz, modes),
         critical=critical,
         hidden=_is_hidden(unit, grid, poles[poles.real > 0.0], nu_hz, noise),
         critical_covered=bool(oscillates and _closed_at(abs(critical.imag) / (2.0 * np.pi), nu_hz, modes)),
@@ -107,19 +114,31 @@ def critical_mode(unit: Unit, grid: tuple[float, float], poles: np.ndarray, nu_h
 def covers(unit: Unit, grid: tuple[float, float], nu_hz: np.ndarray, modes: np.ndarray) -> bool:
     """Whether the rows cover what stability asks.
 
-    Rows are needed wherever the device is active with a loop gain above `QUIET`, and, up to the last such frequency,
-    wherever the loop gain is above `LOUD` (up to the last row where the device is passive). Neighbouring |f - f1| there
-    may be apart by a ratio of 1.3, or by the half width of the modes between them (the distance of the nearest pole
-    from the middle of the gap, as |s - p|/2 pi). Below the lowest |f - f1| no mode may be narrower than that.
+    Rows are needed wherever the device is active, however small the loop gain, and wherever the loop gain is above one;
+    above the last row passivity closes the end, and none are needed where the device is passive. Neighbouring |f - f1|
+    there may be apart by a ratio of 1.3, or by the half width of the modes between them (the distance of the nearest
+    pole from the middle of the gap, as |s - p|/2 pi). Below the lowest |f - f1| no mode may be narrower than that.
     """
-    nu = np.geomspace(0.02, 8000.0, 400)
+    nu = _PLACES_HZ
+    active, gain = _active_and_gain(unit, grid, nu)
+    needed = active | ((gain > 1.0) & (nu <= nu_hz[-1]))
+    return all(_closed_at(x, nu_hz, modes) for x in nu[needed])
+
+
+def covers_all_but_faint(unit: Unit, grid: tuple[float, float], nu_hz: np.ndarray, modes: np.ndarray) -> bool:
+    """The same with no row asked for where the device is active with a loop gain below `QUIET`.
+
+    Rows are needed wherever it is active with a larger one, and, up to the last such frequency, wherever the loop gain
+    is above `LOUD` (up to the last row where the device is passive).
+    """
+    nu = _PLACES_HZ
     active, gain = _active_and_gain(unit, grid, nu)
     decisive = np.flatnonzero(active & (gain > QUIET))
     end = nu[decisive[-1]] if len(decisive) else nu_hz[-1]
     if end > nu_hz[-1]:
         return False
-    needed = nu[((active & (gain > QUIET)) | (gain > LOUD)) & (nu <= end)]
-    return all(_closed_at(x, nu_hz, modes) for x in needed)
+    needed = ((active & (gain > QUIET)) | (gain > LOUD)) & (nu <= end)
+    return all(_closed_at(x, nu_hz, modes) for x in nu[needed])
 
 
 def _active_and_gain(unit: Unit, grid: tuple[float, float], nu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

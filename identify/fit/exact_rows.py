@@ -20,6 +20,7 @@ _DESCRIBED = 1e-5  # misfit of an interpolant, relative to Y, that noise does no
 _TO_ROUNDING = 1e-9  # misfit of one that no error of a sweep allows
 _UNEXPLAINED = 4.0  # variances beyond the stated ones from which on a misfit is no noise
 _HIGHEST, _PER_ROW = 27, 0.8  # order of an interpolant, and order per row: half as many parameters as numbers
+_MOST_PER_ROW = 1.2  # order per row of one that meets rows to rounding: three quarters as many
 _ONE_PLACE = 1e-6  # rows closer than this, relatively, are at one place
 _SOME = 45  # rows that are asked whether they are exact
 _MANY = 150  # rows from which on the order search gets stuck only where it ends at the highest order
@@ -68,11 +69,12 @@ def _describing(data: DqData) -> Barycentric | None:
         return None
     best = None
     for found in interpolants(data):
-        if 2 * len(found.z) - 1 > min(_HIGHEST, _PER_ROW * len(data.nu_hz)):
+        order, n = 2 * len(found.z) - 1, len(data.nu_hz)
+        if order > min(_HIGHEST, _MOST_PER_ROW * n):
             break
         if best is not None and found.misfit > 0.1 * best.misfit:
             break
-        if found.misfit < _DESCRIBED:
+        if found.misfit < (_DESCRIBED if order <= _PER_ROW * n else _TO_ROUNDING):
             best = found
     return best
 

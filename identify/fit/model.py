@@ -174,10 +174,20 @@ def _settled(
         problem, trial = uneven, refine(uneven, select_order(uneven, max_order, None))
     problem, trial, notes = drop_outliers(problem, trial)
     trial = thin_out_far(problem, prune(problem, trial))
-    trial, removed = drop_faint(problem, trial)
+    trial, removed = _without_faint(problem, data, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_lasting(problem, settle_instability(problem, trial))
     return Settled(problem, f1_hz, trial, outlying + notes, removed + mirrored)
+
+
+def _without_faint(problem: Problem, data: DqData, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
+    """The trial without faint poles, unless rows are exact: there none of its poles is owed to an error of the sweep.
+
+    A fit that stops at the floor need not show that rows are exact; an interpolant does.
+    """
+    less, removed = drop_faint(problem, trial)
+    exact = exact_fit(problem, data) if removed else None
+    return (less, removed) if exact is None else (exact, ())
 
 
 class FreePoles(NamedTuple):

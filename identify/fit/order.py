@@ -26,6 +26,7 @@ _UNPLACED = 0.5  # standard error of a far pole, in its size, from which on its 
 _NEARBY = 5.0  # where a real pole that replaces a far pair is started, in bands
 _FAINT = 1e-4  # what a right-half-plane pole must contribute to Y to be believed
 _ROUNDING = 1e-4  # part of the noise floor below which only exact rows are met
+_MODEST = 0.75  # parameters of a fit that is believed to rounding, in numbers of the rows
 _OUTLIERS_PER_ROW = 10  # at most one row in ten may be left out as an outlier
 
 
@@ -221,12 +222,15 @@ def met_exactly(problem: Problem, trial: Trial) -> Trial | None:
 
 
 def is_exact(problem: Problem, trial: Trial) -> bool:
-    """Whether the trial meets the rows to rounding with half as many parameters as they have numbers."""
+    """Whether the trial meets the rows to rounding with three quarters as many parameters as they have numbers.
+
+    The quarter that is left, two numbers for each row, is met by no chance.
+    """
     return trial.cost < floor_cost(to_rounding(problem)) and _is_modest(problem, trial)
 
 
 def _is_modest(problem: Problem, trial: Trial) -> bool:
-    return order_of(trial.poles) + ELEMENTS * (order_of(trial.poles) + trial.tail) <= problem.y.size
+    return order_of(trial.poles) + ELEMENTS * (order_of(trial.poles) + trial.tail) <= _MODEST * 2 * problem.y.size
 
 
 def to_rounding(problem: Problem) -> Problem:
