@@ -12,7 +12,7 @@ import numpy as np
 from .aaa import Barycentric, interpolants, poles
 from .dq_data import DqData
 from .least_squares import Problem, Trial, floor_cost, held, refine
-from .order import met_exactly, prune, to_rounding
+from .order import ended, met_exactly, prune, relative_misfit, to_rounding
 from .partial_fractions import order_of, upper_half
 from .vector_fit import vector_fit
 
@@ -31,11 +31,38 @@ def from_interpolant(problem: Problem, data: DqData, trial: Trial, max_order: in
 
     ``max_order`` is where the search for the trial's order had to end.
     """
-    ended = order_of(trial.poles) + 2 > max_order
-    if (len(data.nu_hz) > _MANY and not ended) or not _is_unexplained(problem, trial):
+    stuck = order_of(trial.poles) + 2 > max_order
+    if (len(data.nu_hz) > _MANY and not stuck) or not _is_unexplained(problem, trial):
         return trial
     found = _describing(data)
-    return trial if found is None else min([trial, *_started(problem, found)], key=lambda t: t.bic)
+    if found is None:
+        return beyond_search(problem, data, trial, max_order)
+    return min([trial, *_started(problem, found)], key=lambda t: t.bic)
+
+
+def beyond_search(problem: Problem, data: DqData, trial: Trial, max_order: int) -> Trial:
+    """A trial of more poles than the search may take, where that ended at ``max_order`` for rows that are few.
+
+    Interpolants of noisy rows describe nothing, but are a start if they come nearer to the rows than the search did.
+    Which order pays is for the BIC to say.
+    """
+    if not ended(problem, trial, max_order) or not _is_unexplained(problem, trial) or _is_twofold(data):
+        return trial
+    best, missed = trial, relative_misfit(problem, trial)
+    for found in interpolants(data):
+        if _order(found) > min(_HIGHEST, _PER_ROW * len(data.nu_hz)):
+            break
+        if _order(found) <= max_order or found.misfit > missed:
+            continue
+        tried = min(_started(problem, found), key=lambda t: t.bic)
+        if tried.bic > best.bic and best is not trial:
+            break
+        best = min(best, tried, key=lambda t: t.bic)
+    return best
+
+
+def _order(found: Barycentric) -> int:
+    return 2 * len(found.z) - 1
 
 
 def exact_fit(problem: Problem, data: DqData) -> Trial | None:
@@ -65,11 +92,11 @@ def _describing(data: DqData) -> Barycentric | None:
 
     Rows that were measured twice, at f and at its mirror image, differ: they have noise.
     """
-    if np.any(np.diff(data.nu_hz) <= _ONE_PLACE * data.nu_hz[1:]):
+    if _is_twofold(data):
         return None
     best = None
     for found in interpolants(data):
-        order, n = 2 * len(found.z) - 1, len(data.nu_hz)
+        order, n = _order(found), len(data.nu_hz)
         if order > min(_HIGHEST, _MOST_PER_ROW * n):
             break
         if best is not None and found.misfit > 0.1 * best.misfit:
@@ -77,6 +104,11 @@ def _describing(data: DqData) -> Barycentric | None:
         if found.misfit < (_DESCRIBED if order <= _PER_ROW * n else _TO_ROUNDING):
             best = found
     return best
+
+
+def _is_twofold(data: DqData) -> bool:
+    """Whether a row was measured twice, at f and at its mirror image."""
+    return bool(np.any(np.diff(data.nu_hz) <= _ONE_PLACE * data.nu_hz[1:]))
 
 
 def _is_unexplained(problem: Problem, trial: Trial) -> bool:

@@ -32,7 +32,7 @@ from ...plant.errors import SeqsweepError
 from ..response import FrequencyResponse
 from .covariance import finished
 from .dq_data import ELEMENTS, DqData, to_dq
-from .exact_rows import exact_fit, from_interpolant
+from .exact_rows import beyond_search, exact_fit, from_interpolant
 from .least_squares import Problem, Trial, floor_cost, pole_std, refine, solve_residues, trial_at, weighted
 from .order import (
     drop_faint,
@@ -163,6 +163,7 @@ def _settled(
     problem = weighted(data, noise_floor)._replace(n_unstable=n_unstable)
     max_order = min(max_order, (len(data.nu_hz) - 1) // 2)
     trial = select_order(problem, max_order, start)
+    trial = trial if problem.noise is None else beyond_search(problem, data, trial, max_order)
     part = _unexplained_part(problem, trial)
     if part is not None:
         problem = weighted(data, noise_floor, part)._replace(n_unstable=n_unstable)
@@ -171,13 +172,21 @@ def _settled(
     problem, trial, outlying = leave_out_outliers(problem, trial, max_order)
     uneven = weighted_by_misfit(problem, trial)
     if uneven is not None:
-        problem, trial = uneven, refine(uneven, select_order(uneven, max_order, None))
+        problem, trial = uneven, refine(uneven, _searched_again(uneven, trial, max_order))
     problem, trial, notes = drop_outliers(problem, trial)
     trial = thin_out_far(problem, prune(problem, trial))
     trial, removed = _without_faint(problem, data, trial)
     trial, mirrored = settle_far_poles(problem, trial)
     trial = settle_lasting(problem, settle_instability(problem, trial))
     return Settled(problem, f1_hz, trial, outlying + notes, removed + mirrored)
+
+
+def _searched_again(problem: Problem, trial: Trial, max_order: int) -> Trial:
+    """The best order for new weights; poles beyond the search are a start of their own."""
+    searched = select_order(problem, max_order, None)
+    if order_of(trial.poles) <= max_order:
+        return searched
+    return min(searched, trial_at(problem, trial.poles, trial.tail), key=lambda t: t.bic)
 
 
 def _without_faint(problem: Problem, data: DqData, trial: Trial) -> tuple[Trial, tuple[str, ...]]:

@@ -48,12 +48,22 @@ def select_order(problem: Problem, max_order: int, start: RationalModel | None) 
     poles = _first_poles(problem) if start is None else upper_half(start.poles)
     tail = 1 if start is None else start.tail
     best = trial = vector_fit(problem, poles, tail)
-    misses, patience = 0, 2 if len(problem.s) >= _FEW else 4
+    misses, patience = 0, _patience(problem)
     while misses < patience and order_of(trial.poles) + 2 <= max_order and trial.cost > floor_cost(problem):
         trial = vector_fit(problem, with_pair(problem, trial), tail)
         misses = 0 if trial.bic < best.bic else misses + 1
         best = min(best, trial, key=lambda t: t.bic)
     return best
+
+
+def _patience(problem: Problem) -> int:
+    """Pairs in a row that need not pay."""
+    return 2 if len(problem.s) >= _FEW else 4
+
+
+def ended(problem: Problem, trial: Trial, max_order: int) -> bool:
+    """Whether `select_order`, whose best trial it was, went to the highest order."""
+    return order_of(trial.poles) + 2 * _patience(problem) > max_order
 
 
 def _first_poles(problem: Problem) -> np.ndarray:
@@ -199,14 +209,14 @@ def drop_faint(problem: Problem, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
         faintest = doubtful[np.argmin(costs_without(problem, trial)[doubtful])]
         without = trial_at(problem, np.delete(trial.poles, faintest), trial.tail)
         without = refine(problem, without, n_iterations=30)
-        if _relative_misfit(problem, without) > _FAINT:
+        if relative_misfit(problem, without) > _FAINT:
             needed = np.append(needed, trial.poles[faintest])
         else:
             trial = without
     n_left_out = n_before - order_of(trial.poles)
     if n_left_out == 0:
         return trial, ()
-    misfit = _relative_misfit(problem, trial)
+    misfit = relative_misfit(problem, trial)
     return trial, (f"{n_left_out} faint poles of no certain sign left out of the fit: it matches Y to {misfit:.1g}",)
 
 
@@ -288,7 +298,7 @@ def settle_lasting(problem: Problem, trial: Trial) -> Trial:
     return trial
 
 
-def _relative_misfit(problem: Problem, trial: Trial) -> float:
+def relative_misfit(problem: Problem, trial: Trial) -> float:
     """Root mean square misfit relative to ||Y||_F / 2 at each frequency, whatever the weights."""
     n = len(problem.s)
     misfit = solve_residues(problem, trial.poles, trial.tail).misfit

@@ -93,3 +93,39 @@ def test_rows_that_are_met_exactly_keep_a_mode_whose_side_of_the_axis_they_hardl
     off = [np.abs(found.poles - pole).min() / abs(pole) for pole in (ring, slow)]
     assert off[0] < 1e-7
     assert off[1] < 1e-2
+
+
+def sparse(order: int, nu_hz: np.ndarray, noise: float, seed: int) -> tuple[FrequencyResponse, np.ndarray]:
+    """Fewer rows than a search of the order allows poles, with white noise; beside them the device's poles."""
+    rng = np.random.default_rng(seed)
+    poles = -2.0 * np.pi * np.geomspace(4.0, 700.0, order // 2) * (0.15 - 1j)
+    residues = rng.normal(size=(order // 2, 2, 2)) * np.abs(poles.real)[:, None, None]
+    s = 2j * np.pi * nu_hz[:, None, None, None]
+    y = np.eye(2) + np.sum(residues / (s - poles[:, None, None]) + residues / (s - poles.conj()[:, None, None]), axis=1)
+    y = y * (1.0 + noise * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape)))
+    return FrequencyResponse(50.0 + nu_hz, dq_to_pn(y), 50.0, meta={"stable_on": {"grid": "ideal"}}), poles
+
+
+@pytest.mark.parametrize(("order", "n"), [(14, 16), (20, 19), (24, 24)])
+def test_exact_rows_tell_more_than_one_pole_each(order: int, n: int) -> None:
+    """Each row holds eight numbers, each pole asks for five: rows met to rounding are proved by what is left."""
+    response, poles = sparse(order, np.geomspace(2.0, 1500.0, n), 0.0, seed=order)
+    found = fit_response(response)
+    assert found.order == order
+    assert max(np.abs(found.poles - pole).min() / abs(pole) for pole in poles) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_of_little_noise_tell_more_poles_than_the_search_takes(seed: int) -> None:
+    """Of 20 rows the search takes 9 poles; the misfit asks for the 14 that are there."""
+    response, poles = sparse(14, np.geomspace(2.0, 1500.0, 20), 3e-4, seed)
+    found = fit_response(response)
+    assert found.residual < 1e-3
+    assert max(np.abs(found.poles - pole).min() / abs(pole) for pole in poles) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_takes_no_pole_beyond_the_search(seed: int) -> None:
+    """Twenty rows of a device of four poles, with noise, ask for no more than the search finds."""
+    response, _ = sparse(4, np.geomspace(2.0, 1500.0, 20), 1e-2, seed)
+    assert fit_response(response).order <= 6
