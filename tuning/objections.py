@@ -148,8 +148,8 @@ def _too_few_rows(case: Case) -> str:
     ):
         return ""
     return (
-        f"{len(model.nu_hz)} rows tell no more than {most} poles apart, and the device has more: the fit leaves more "
-        "than noise unexplained; sweep more points"
+        f"{len(model.nu_hz)} rows tell no more than {max(most, model.order)} poles apart, and the device has more: the "
+        "fit leaves more than noise unexplained; sweep more points"
     )
 
 

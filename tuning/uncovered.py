@@ -148,9 +148,10 @@ def _may_feed(seen: Seen, low_hz: float, high_hz: float, crowded: bool) -> bool:
 def _tells_no_more(seen: Seen) -> str:
     """A fit of as many poles as the rows tell apart may have too few."""
     n, order = len(seen.model.nu_hz), seen.model.order
-    if order + 2 <= (n - 1) // 2:
+    most = (n - 1) // 2
+    if order + 2 <= most:
         return ""
-    return f"{n} rows tell no more than {(n - 1) // 2} poles apart, and the fit takes {order}: sweep more points"
+    return f"{n} rows tell no more than {max(most, order)} poles apart, and the fit takes {order}: sweep more points"
 
 
 def _is_near(seen: Seen) -> str:

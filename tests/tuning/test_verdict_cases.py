@@ -227,10 +227,10 @@ def test_rows_far_from_f1_do_not_make_a_stiff_droop_stable(first_hz: float, scr:
 
 def test_rows_far_from_f1_keep_no_verdict_back_where_the_device_rested() -> None:
     """The grid on which it rested holds what it held, also where its impedance is the same but for rounding."""
-    device = linear_forming(Forming(**DROOP, **STIFF), GFM)
+    device = linear_forming(Forming(**DROOP), GFM)
     r, x = grid_of(GFM.z_ohm / 2.0, 0.1)
     fact = {"grid": {"r_ohm": r, "x_ohm": x}, "basis": "shots", "growth_bound_per_s": 0.7, "disturbed_s": 1.0}
-    response = rows(device, F1_HZ + np.linspace(80.0, 950.0, 20), fact)
+    response = rows(device, F1_HZ + np.linspace(30.0, 950.0, 20), fact)
     reasons = [judged(response, scale * r, scale * x).stability.reason for scale in (1.0, 1.0 - 1e-15, 1.3, 0.7)]
     assert ["may have held" in reason for reason in reasons] == [False, False, False, True]
 

@@ -22,7 +22,7 @@ from verdict_families.score import is_phantom, line_of
 from verdict_families.sweeping import swept
 from verdict_families.swept_plants import LinearPlant, SampledPlant
 from verdict_families.tables import T_PN
-from verdict_families.truth import covers, seen_modes
+from verdict_families.truth import covers, covers_all_but_faint, seen_modes
 from verdict_families.units import Unit, draw_unit, edges, grid_of, rightmost
 
 from seqsweep.identify.fourier import block_phasors
@@ -224,6 +224,19 @@ def test_coverage_is_lost_in_a_gap_and_around_a_narrow_mode() -> None:
     assert not covers(unit, grid, rows[(rows < 20.0) | (rows > 32.0)], modes)
     assert not covers(unit, grid, rows[rows > 8.0], modes)  # a slow mode is narrower than that
     assert not covers(unit, grid, rows[rows < 20.0], modes)  # the device is active beyond
+
+
+def test_rows_are_needed_where_the_device_is_active_however_small_the_loop_gain() -> None:
+    """A device that feeds around 40 Hz behind a grid a hundred times too stiff for that to matter."""
+    a, b = np.array([[-20.0, 251.0], [-251.0, -20.0]]), np.eye(2)
+    device = Linear(a, b, np.diag([-90.0, 1.0]), np.eye(2), 0.0, GFL.w1)
+    unit, grid = Unit("rational", "", GFL, device, None), (0.001, 0.001)
+    modes = seen_modes(device.closed_loop(*grid), device.own_poles)
+    rows = np.geomspace(0.5, 950.0, 60)
+    gap = rows[(rows < 25.0) | (rows > 60.0)]
+    assert covers(unit, grid, rows, modes)
+    assert not covers(unit, grid, gap, modes)
+    assert covers_all_but_faint(unit, grid, gap, modes)
 
 
 def test_bins_hold_what_is_calibrated_and_show_what_is_not() -> None:
