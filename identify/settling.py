@@ -118,14 +118,17 @@ class Agreements:
         ``phasors`` (m, 2, k, 2) complex are the blocks' sums of v and i.
         """
         n_blocks, limit = self._n_blocks[who], self._limit_blocks[who]
-        sums, filled = np.take(self._sums, who, axis=2), done % n_blocks
+        sums = np.take(self._sums, who, axis=2)
+        ends = (done + np.arange(phasors.shape[2] + 1)[:, None]) % n_blocks == 0  # of the block before each
+        some = ends.any(axis=1).tolist()
         for block, fresh in enumerate(phasors.transpose(2, 1, 3, 0)):
-            begin = np.flatnonzero(filled == 0)
             sums += fresh
-            sums[..., begin] = fresh[..., begin]
-            filled += 1
-            full = np.flatnonzero(filled == n_blocks)
-            filled[full] = 0
+            if some[block]:
+                begin = np.flatnonzero(ends[block])
+                sums[..., begin] = fresh[..., begin]
+            if not some[block + 1]:
+                continue
+            full = np.flatnonzero(ends[block + 1])
             complete = full[(done + block < limit[full]) & ~self.over[who[full]]]
             if len(complete):
                 self._compare(who[complete], np.ascontiguousarray(sums[..., complete].transpose(2, 0, 1)))

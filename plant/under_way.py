@@ -187,5 +187,6 @@ def _set(columns: np.ndarray, slot: int, who: np.ndarray | slice, values: np.nda
 
 def _turned(cycles: np.ndarray) -> np.ndarray:
     """`turns` of every number, of equal ones once; not by numpy, whose sine rounds otherwise."""
-    different, which = np.unique(cycles, return_inverse=True)
-    return np.array([turns(x) for x in different.tolist()], complex)[which]
+    asked = np.asarray(cycles).tolist()
+    known = {x: turns(x) for x in set(asked)}
+    return np.array([known[x] for x in asked], complex)

@@ -227,7 +227,7 @@ def _letters(argument: Any) -> str:
     if isinstance(argument, np.ndarray):  # owner, its parent, size, item size, data, shape, strides
         return _ARRAY_HEAD + "iip" + 2 * argument.ndim * "i"
     if isinstance(argument, tuple):
-        return "".join(map(_letters, argument))
+        return len(argument) * "f" if set(map(type, argument)) == {float} else "".join(map(_letters, argument))
     kind = _kind(argument)
     return _LETTERS.get(kind, kind)
 

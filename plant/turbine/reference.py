@@ -48,7 +48,7 @@ from .flow import poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .state import TurbineState
 from .steps import Steps, of_fourth_order, of_second_order
-from .tone_table import common_period, waveform
+from .tone_table import common_period, period_of, side_by_side
 from .under_way import clockwork_of, lanes_under_way
 
 if TYPE_CHECKING:
@@ -256,15 +256,10 @@ class ReferenceTurbine:
         rows_per_s = 2.0 / self.dt_s
         in_frame = [self.tones_of(job) for job in jobs]
         n_rows = 0 if self.integrator == "emt" else common_period(in_frame, rows_per_s)
-        table = np.zeros((n_rows, 4, LANES))
-        for lane in range(LANES if n_rows else 0):
-            member = lane if lane < len(jobs) else 0  # idle lanes follow the first
-            state = jobs[member].state
-            forced = self._forced(jobs[member])
-            for quantity, of in ((0, [(f, v) for f, v, _ in forced]), (2, [(f, other) for f, _, other in forced])):
-                wave = waveform(of, rows_per_s, n_rows, 2 * state.step)
-                table[:, quantity, lane], table[:, quantity + 1, lane] = wave.real, wave.imag
-        return table
+        if not n_rows:
+            return np.zeros((0, 4, LANES))
+        periods = [(period_of(tuple(self._forced(job)), rows_per_s, n_rows), 2 * job.state.step) for job in jobs]
+        return side_by_side(periods, LANES)
 
     def _forced(self, job: Job) -> list[network.Forced]:
         """What the source and the tones of a job force: the PCC's voltage, and the shunt's or, of a network, i_g."""
@@ -276,8 +271,9 @@ class ReferenceTurbine:
 
     def run(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, Record]]:
         """Run every job ``n_steps`` further; see `Plant.run`."""
+        turning = {step: self._turning(step, n_steps) for step in {job.state.step for job in jobs}}
         stepped = zip(jobs, self._stepped(jobs, n_steps), strict=True)
-        return [(end, self._record(job.state, samples)) for job, (end, samples) in stepped]
+        return [(end, self._record(job.state, samples, turning[job.state.step])) for job, (end, samples) in stepped]
 
     def _stepped(self, jobs: Sequence[Job], n_steps: int) -> list[tuple[TurbineState, np.ndarray]]:
         """Every job ``n_steps`` further, and its samples (n_steps, 4) on the way."""
@@ -331,7 +327,8 @@ class ReferenceTurbine:
         along = self._traced if start.source.circuit is None else self._traced_in_network
         end, samples = along(start, conditions, of_scaled_law, n_steps)
         sync = samples[:, 6] - cmath.phase(state.v_source)
-        return end, Trace(self._record(start, samples), samples[:, 4], samples[:, 5], sync)
+        turning = self._turning(start.step, n_steps)
+        return end, Trace(self._record(start, samples, turning), samples[:, 4], samples[:, 5], sync)
 
     def _traced(
         self, start: TurbineState, conditions: Conditions, p: TurbineParameters, n_steps: int
@@ -474,9 +471,12 @@ class ReferenceTurbine:
         ends = [self._moved(job.state, n_steps, x) for job, x in zip(jobs, values, strict=False)]
         return advance.finished(ends) if isinstance(advance, network.NetworkKernel) else ends
 
-    def _record(self, state: TurbineState, samples: np.ndarray) -> Record:
-        time_s = (state.step + np.arange(len(samples))) * self.dt_s
-        to_stationary = PHASE_PEAK * np.exp(2j * pi * ((self.f1_hz * time_s) % 1.0))
+    def _turning(self, step: int, n_steps: int) -> np.ndarray:
+        """From the dq frame to the stationary one at so many steps from ``step`` on, in phase peaks."""
+        time_s = (step + np.arange(n_steps)) * self.dt_s
+        return np.asarray(PHASE_PEAK * np.exp(2j * pi * ((self.f1_hz * time_s) % 1.0)))
+
+    def _record(self, state: TurbineState, samples: np.ndarray, to_stationary: np.ndarray) -> Record:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)

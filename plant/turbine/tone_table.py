@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ FEWEST = 12
 
 MOST_ROWS = 1 << 18
 """Samples of the longest waveform that is worth its memory."""
+
+PERIODS_KEPT = 8
+"""Periods of waveforms that are kept: of the four plays of two operating points."""
 
 _ON_THE_GRID = 1e-6
 """A tone further off its line, in lines, is on no common grid."""
@@ -36,6 +40,30 @@ def common_period(spectra: Iterable[Spectrum], rate_hz: float) -> int:
     lines = f_hz * n_rows / rate_hz
     fits = n_rows <= MOST_ROWS and np.all(np.abs(lines - np.round(lines)) < _ON_THE_GRID)
     return n_rows if fits else 0
+
+
+@lru_cache(maxsize=PERIODS_KEPT)
+def period_of(forced: tuple[tuple[float, complex, complex], ...], rate_hz: float, n_rows: int) -> np.ndarray:
+    """Two waveforms (n_rows, 2) from time zero on, of tones (Hz) and their phasors in each; it is not to be changed.
+
+    A device is run under the same tones several times: until it has settled, and period by period.
+    """
+    wave = waveform([(f_hz, np.array(of_both)) for f_hz, *of_both in forced], rate_hz, n_rows, 0)
+    wave.setflags(write=False)
+    return wave
+
+
+def side_by_side(periods: Sequence[tuple[np.ndarray, int]], n_lanes: int) -> np.ndarray:
+    """Pairs of waveforms (n_rows, 2), each from a sample of its own on, as (n_rows, 4, n_lanes): re, im of the two.
+
+    Idle lanes follow the first.
+    """
+    n_rows = len(periods[0][0])
+    table = np.empty((n_rows, 4, n_lanes))
+    for lane, (wave, first) in enumerate(periods):
+        table[:, :, lane] = np.roll(wave.view(float), -first % n_rows, axis=0)
+    table[:, :, len(periods) :] = table[:, :, :1]
+    return table
 
 
 def waveform(spectrum: Spectrum, rate_hz: float, n_rows: int, first: int) -> np.ndarray:
