@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ settings.load_profile("same")  # the same examples every time, however busy the 
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "evidence.md"
+_NO_BYTE_CODE = sys.dont_write_bytecode
 _said: dict[str, str] = {}
 
 LONG = (
@@ -48,14 +50,29 @@ LONG = (
 same kernels stand apart, so that the second finds them compiled."""
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Every worker begins to collect at another folder, and finds byte code of the others' when it comes to theirs.
+
+    What pytest makes of a file of tests takes longer than all that the file imports. Byte code is kept while tests are
+    collected, also where PYTHONDONTWRITEBYTECODE is set; what tests import of their own later is as ever.
+    """
+    workers = getattr(config, "workerinput", None)
+    if workers is not None and [Path(name).resolve() for name in config.args] == [HERE]:
+        sys.dont_write_bytecode = False
+        folders = [str(path) for path in sorted(HERE.iterdir()) if path.is_dir() and path.name[0] not in "._"]
+        first = len(folders) * int(workers["workerid"].removeprefix("gw")) // workers["workercount"]
+        config.args = folders[first:] + folders[:first]
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whole files in that order, then the others; pytest-xdist takes them so with ``--no-loadscope-reorder``."""
+    """Whole files, the longest first; pytest-xdist takes them so with ``--no-loadscope-reorder``."""
     places = {HERE / name: place for place, name in enumerate(LONG)}
-    items.sort(key=lambda item: places.get(item.path, len(LONG)))
+    items.sort(key=lambda item: (places.get(item.path, len(LONG)), item.path))
 
 
 def pytest_collection_finish() -> None:
     """Modules and tests stay to the end: the collector of garbage looks at them no more, and at others less often."""
+    sys.dont_write_bytecode = _NO_BYTE_CODE
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000, 20, 20)  # compiling and drawing make many objects: a tenth of their time

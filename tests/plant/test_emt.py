@@ -16,6 +16,7 @@ from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM, TABLE_I
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 
 from ..support import oracle
+from ..support.machine_code import instructions
 from ..sweep.test_accuracy import BAND, BAR_MEDIAN, BAR_WORST, IN_PLACE, P_MW, U_V, relative, swept
 
 LINE = Source("thevenin", LINE_R_OHM, LINE_L_H)
@@ -150,18 +151,11 @@ def test_other_integrators_and_damping_are_refused_in_words():
 
 @pytest.mark.parametrize("name", ["advance_ideal", "advance_thevenin"])
 def test_lanes_are_vector_code(name):
-    """Compiled anew: cached code cannot be looked at. The driver's preparation is scalar, once a call."""
-    from numba import njit
-    from numba.core import config
-
+    """The driver's preparation is scalar, once a call."""
     from seqsweep.plant.kernels import turbine, turbine_emt
 
-    if config.DISABLE_JIT:
-        pytest.skip("nothing is compiled")
-    kernel = njit(nogil=True, fastmath=turbine_emt._FAST, error_model="numpy")(getattr(turbine_emt, name).py_func)
-    kept = np.empty((1, 8, turbine.LANES))
-    kernel(None, np.ones(turbine.array_slots(0) * turbine.LANES), 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
-    (code,) = kernel.inspect_asm().values()
+    kept, x = np.empty((1, 8, turbine.LANES)), np.ones(turbine.array_slots(0) * turbine.LANES)
+    code = instructions(getattr(turbine_emt, name), None, x, 0, TABLE_I, 5e-5, 0, turbine.SUM_V, kept)
     if "ymm" not in code and "zmm" not in code:
         pytest.skip("this processor has no wide vectors")
     assert "vsqrtpd" in code
