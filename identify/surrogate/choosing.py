@@ -1,7 +1,8 @@
-"""Which products a sparse rational model is made of: grown greedily by the lowest leave-one-out error.
+"""Which products a sparse rational model is made of: those of the lowest leave-one-out error.
 
-An index is added to the numerators or to the denominator, or two at a time where one alone gains nothing. All shapes of
-one size that a step may lead to are fitted at once.
+Of every size, so many products in the numerators and so many in the denominator, the best shape found so far is kept.
+Products are added to each of them and taken away, one at a time, until none of them changes any more. All shapes of one
+size that a step may lead to are fitted at once.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from itertools import groupby
 
 import numpy as np
 
-from .index_sets import border, chebyshev_products
+from .index_sets import Index, border, chebyshev_products, tips
 from .sparse_rational import ELEMENTS, Data, Shape, try_shapes
 
 MAX_NUMERATOR_DEGREE = 6
@@ -29,10 +30,8 @@ GUARD = 0.25
 ENOUGH = 1e-13
 """Left-out error, relative to ||Y||, from which on the arithmetic is all that is left to fit: growing ends."""
 
-_PATIENCE = 6  # growth steps without gain until growing ends
+_SIZES = 16  # of which the best shape is grown and shrunk
 _PASSES = 2  # of fits that only rank shapes; those that are kept are fitted anew
-_THINNED, _PROMISING = 4, 8
-"""Of two indices at a time, so many shapes are fitted as a whole that are the best at every fourth frequency."""
 
 
 def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
@@ -49,17 +48,27 @@ def choose_shapes(data: Data, region: np.ndarray) -> list[Shape]:
     -------
     list of Shape
         Best first; at most ``1 + RIVALS``.
+
+    Notes
+    -----
+    This is a floating search (Pudil, Novovicova and Kittler, Pattern Recognition Letters 15, 1994) that keeps the best
+    shape of every size. A search that follows its last step alone loses good shapes: a product that helps no more
+    once others have come stays, and one that gains nothing before its partner has come is never met.
     """
     tried: dict[Shape, float] = {}
-    for start in _starts(data):
-        _grow(data, start, tried, region)
+    _try(data, _starts(data), tried, region)
+    changed: set[Shape] = set()
+    while min(tried.values()) > ENOUGH and (new := [s for s in _best_of_sizes(tried) if s not in changed]):
+        changed.update(new)
+        beside = {near for shape in new for near in (*larger(shape), *smaller(shape)) if _has_freedom(data, near)}
+        _try(data, beside, tried, region)
     return _ranked(tried)
 
 
 def _starts(data: Data) -> list[Shape]:
     """A constant, and where the sweeps allow it a linear numerator over a linear denominator.
 
-    From the constant alone growing may end early: where no one or two indices help, though more of them would.
+    From the constant alone growing may end early: where no index helps alone, though more of them would.
     """
     n_axes = data.x.shape[1]
     constant = Shape(((0,) * n_axes,), ())
@@ -68,29 +77,12 @@ def _starts(data: Data) -> list[Shape]:
     return [constant, linear] if _has_freedom(data, linear) else [constant]
 
 
-def _grow(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> None:
-    """Grow a shape until nothing is gained; every shape on the way is tried."""
-    _best_of(data, [shape], tried, region)
-    best, idle = tried[shape], 0
-    while idle < _PATIENCE and best > ENOUGH:
-        found = _grown(data, shape, tried, region)
-        if found is None:
-            break
-        shape = found
-        idle = 0 if tried[shape] < best / SMALLEST_WITHIN else idle + 1
-        best = min(best, tried[shape])
-
-
-def _grown(data: Data, shape: Shape, tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
-    """The best shape one index larger, or two where one alone gains nothing; None where no freedom is left."""
-    singles = [s for s in larger(shape) if _has_freedom(data, s)]
-    found = _best_of(data, singles, tried, region)
-    if found is not None and tried[found] < tried[shape] / SMALLEST_WITHIN:
-        return found
-    pairs = {two for one in singles for two in larger(one) if two.denominator != shape.denominator}
-    second = _best_of(data, _promising(data, sorted(s for s in pairs if _has_freedom(data, s))), tried, region)
-    both = [s for s in (found, second) if s is not None]
-    return min(both, key=lambda s: (tried[s], s), default=None)
+def _best_of_sizes(tried: dict[Shape, float]) -> list[Shape]:
+    """The best shape of every size, for the `_SIZES` sizes that are best."""
+    best: dict[tuple[int, int], Shape] = {}
+    for shape in _ordered(tried):
+        best.setdefault(_size(shape), shape)
+    return list(best.values())[:_SIZES]
 
 
 def larger(shape: Shape) -> list[Shape]:
@@ -107,23 +99,21 @@ def larger(shape: Shape) -> list[Shape]:
     return upper + lower
 
 
+def smaller(shape: Shape) -> list[Shape]:
+    """Every shape of one index less."""
+    lower = [Shape(rest, shape.denominator) for rest in _without_one(shape.numerator)]
+    return lower + [Shape(shape.numerator, rest) for rest in _without_one(shape.denominator)]
+
+
+def _without_one(indices: tuple[Index, ...]) -> list[tuple[Index, ...]]:
+    """The sets without one index that no other one of them needs."""
+    return [tuple(i for i in indices if i != index) for index in tips(indices)]
+
+
 def _has_freedom(data: Data, shape: Shape) -> bool:
     """Whether the sweeps but one still determine the coefficients."""
     m = int(np.min(np.sum(data.weight > 0.0, axis=1)))
     return len(shape.numerator) < m and shape.size <= ELEMENTS * (m - 1)
-
-
-def _promising(data: Data, shapes: Sequence[Shape]) -> list[Shape]:
-    """Of many shapes those that are the best at a few frequencies."""
-    if len(shapes) <= _PROMISING:
-        return list(shapes)
-    few = Data(data.x, data.y[::_THINNED], data.weight[::_THINNED])
-    worth = {shape: score for alike in _by_size(shapes) for shape, score in _worth(few, alike)}
-    return sorted(shapes, key=lambda s: (worth[s], s))[:_PROMISING]
-
-
-def _worth(data: Data, shapes: Sequence[Shape]) -> Iterable[tuple[Shape, float]]:
-    return zip(shapes, try_shapes(data, shapes, _PASSES).scores.tolist(), strict=True)
 
 
 def _by_size(shapes: Sequence[Shape]) -> list[list[Shape]]:
@@ -131,10 +121,10 @@ def _by_size(shapes: Sequence[Shape]) -> list[list[Shape]]:
     return [list(alike) for _, alike in groupby(sorted(shapes, key=_size), key=_size)]
 
 
-def _best_of(data: Data, shapes: Sequence[Shape], tried: dict[Shape, float], region: np.ndarray) -> Shape | None:
+def _try(data: Data, shapes: Iterable[Shape], tried: dict[Shape, float], region: np.ndarray) -> None:
+    """Enter the leave-one-out errors of shapes that were not tried yet."""
     for alike in _by_size([shape for shape in shapes if shape not in tried]):
         tried.update(_scored(data, alike, region))
-    return min(shapes, key=lambda s: (tried[s], s), default=None)
 
 
 def _size(shape: Shape) -> tuple[int, int]:
@@ -159,9 +149,14 @@ def _hides_pole(shape: Shape, denominator: np.ndarray, x: np.ndarray, region: np
     return bool(np.any(elsewhere < GUARD * at_sweeps))
 
 
+def _ordered(tried: dict[Shape, float]) -> list[Shape]:
+    """Shapes that can be used, the best first."""
+    return sorted((s for s in tried if np.isfinite(tried[s])), key=lambda s: (tried[s], s))
+
+
 def _ranked(tried: dict[Shape, float]) -> list[Shape]:
     """The smallest shape within `SMALLEST_WITHIN` of the best, then the next best."""
-    order = sorted((s for s in tried if np.isfinite(tried[s])), key=lambda s: (tried[s], s))
+    order = _ordered(tried)
     near = [s for s in order if tried[s] <= SMALLEST_WITHIN * tried[order[0]]]
     chosen = min(near, key=lambda s: (s.size, tried[s], s))
     return [chosen, *[s for s in order if s != chosen][:RIVALS]]

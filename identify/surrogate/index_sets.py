@@ -44,6 +44,12 @@ def border(indices: Iterable[Index], n_axes: int, most: int) -> list[Index]:
     return sorted((i for i in grown if sum(i) <= most and _is_supported(i, held)), key=lambda i: (sum(i), i))
 
 
+def tips(indices: Iterable[Index]) -> list[Index]:
+    """Indices that a downward-closed set can lose, one of them: all but the constant that no other one needs."""
+    held = set(indices)
+    return sorted(i for i in held if any(i) and not any(_raised(i, axis) in held for axis in range(len(i))))
+
+
 def _raised(index: Index, axis: int) -> Index:
     return tuple(n + (k == axis) for k, n in enumerate(index))
 

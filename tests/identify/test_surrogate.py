@@ -11,8 +11,9 @@ import pytest
 from scipy.spatial import Delaunay
 
 from seqsweep.identify.response import FrequencyResponse
+from seqsweep.identify.surrogate.choosing import larger, smaller
 from seqsweep.identify.surrogate.design import first_points, next_point
-from seqsweep.identify.surrogate.index_sets import border, chebyshev_products
+from seqsweep.identify.surrogate.index_sets import border, chebyshev_products, tips
 from seqsweep.identify.surrogate.region import hulled
 from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape, predict
 from seqsweep.identify.surrogate.store import left_out, read_surrogate, surrogate_of, write_surrogate
@@ -79,6 +80,17 @@ def test_products_are_chebyshev_s():
 
 def test_a_set_grows_along_its_border_alone():
     assert border([(0, 0), (1, 0)], 2, most=5) == [(0, 1), (2, 0)]
+
+
+def test_a_set_loses_what_no_other_index_needs_and_never_its_constant():
+    assert tips([(0, 0), (1, 0), (2, 0), (0, 1)]) == [(0, 1), (2, 0)]
+    assert tips([(0, 0)]) == []
+
+
+def test_a_shape_has_those_that_it_grew_from_among_its_smaller_ones():
+    shape = Shape(((0, 0), (0, 1), (1, 0)), ((0, 1), (1, 0)))
+    assert len(larger(shape)) == 6
+    assert all(shape in smaller(grown) for grown in larger(shape))
 
 
 def test_left_out_errors_are_those_of_fits_without_the_sweep():
