@@ -17,9 +17,10 @@ from seqsweep.plant.turbine.parameters import LINE_L_H, LINE_R_OHM
 from seqsweep.plant.turbine.reference import ReferenceTurbine
 from seqsweep.sweep.config.sections import Config
 from seqsweep.sweep.measure import loadflow
-from seqsweep.sweep.plan import Grid
+from seqsweep.sweep.plan import Grid, _AtAnyCondition
 from seqsweep.sweep.planning import make_plan
-from seqsweep.sweep.run import host, shards, workers
+from seqsweep.sweep.run import campaign, host, shards, workers
+from seqsweep.sweep.run.asked import Asked, Missing
 from seqsweep.sweep.run.campaign import RunError, run
 
 from ..support import oracle
@@ -250,6 +251,38 @@ def test_a_run_that_only_lacks_its_table_says_that_nothing_is_left_to_measure(le
     run(plan, plant, output, jobs=1, backend="threading", say=said.append)
     total = sum(len(batch.points) for batch in plan.batches())
     assert (said, counted) == ([f"going on: {total}/{total} points are measured already, 0 left"], [])
+
+
+def test_batches_that_are_kept_are_not_made_again(monkeypatch):
+    plan, _ = planned()
+    asked, keys = Asked((plan,)), [batch.key for batch in plan.batches()]
+    missing = Missing(asked, [k % 2 == 1 for k in range(len(keys))])
+    made = []
+    of_any = _AtAnyCondition.batch
+    monkeypatch.setattr(_AtAnyCondition, "batch", lambda *given: made.append(given) or of_any(*given))
+    assert [batch.key for batch in missing] == keys[1::2]
+    assert len(made) == len(missing) == len(keys) // 2
+
+
+def test_a_plan_of_one_operating_point_keeps_none_of_its_batches():
+    """With an amplitude for each operating point there are as many plans: their shots would be most of the memory."""
+    plan, _ = planned(points=TWO_POINTS[:1])
+    before = set(vars(plan))
+    keys = [batch.key for batch in plan.batches()]
+    assert set(vars(plan)) == before
+    assert [batch.key for batch in plan.batches_at(plan.conditions[0])] == keys
+
+
+def test_that_many_batches_are_looked_for_is_said_before(left_behind, monkeypatch):
+    plan, plant, output, _ = left_behind
+    monkeypatch.setattr(campaign, "MANY", 1)
+    said = []
+    run(plan, plant, output, jobs=1, backend="threading", say=said.append)
+    assert said[0] == "looking for what is measured already of 48 points"
+    assert said[1].startswith("going on: ")
+    said.clear()
+    run(plan, plant, output.with_name("fresh.parquet"), jobs=1, backend="threading", say=said.append)
+    assert said == []  # nothing to look for
 
 
 def test_a_stranger_among_the_shards_stays(left_behind):
