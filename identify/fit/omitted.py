@@ -126,7 +126,7 @@ def _seen(gram: np.ndarray, shown: np.ndarray, cost: float, freedom: int) -> _Se
 
 
 def _second_moment(seen: _Seen, most: float) -> tuple[np.ndarray, float]:
-    """Root (j, j) of the sizes' second moment about zero, along directions of unit effect, and the log likelihood.
+    """Root (j, k) of the sizes' second moment about zero, along directions of unit effect, and the log likelihood.
 
     An effect may have any variance, in that of noise, or none above ``most``.
     """
@@ -139,6 +139,5 @@ def _second_moment(seen: _Seen, most: float) -> tuple[np.ndarray, float]:
     share = share / np.sum(share)
     known = 1.0 - 1.0 / damped
     mean = known * seen.found
-    moment = np.diag((share * variance) @ known) + (share[:, None] * mean).T @ mean
-    size, axes = np.linalg.eigh(moment)
-    return axes * np.sqrt(np.maximum(size, 0.0)), likely
+    around = np.diag(np.sqrt((share * variance) @ known))
+    return np.concatenate([around, (np.sqrt(share)[:, None] * mean).T], axis=1), likely
