@@ -1,7 +1,7 @@
 """The notebooks run from the first cell to the last; they assert things.
 
-What `seqsweep init` writes runs in a kernel of its own, with its pictures; those of the examples run one after another
-in one interpreter, each with names of its own: starting a kernel takes longer than what they show.
+They run one after another in one interpreter, each with names of its own: starting a kernel takes longer than what they
+show. What `seqsweep init` writes runs in a kernel of its own as well, with its pictures, as evidence.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ for path, folder in zip(sys.argv[2::2], sys.argv[3::2]):
         if cell.cell_type == "code":
             outcome = shell.run_cell(cell.source)
             told[path].append(repr(outcome.error_before_exec or outcome.error_in_exec or ""))
+    told[path].append(len(pyplot.get_fignums()))
     pyplot.close("all")
 json.dump(told, open(sys.argv[1], "w"))
 """
@@ -57,10 +58,10 @@ def run(code, *arguments, **environment):
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory):
-    """What every cell of the examples' notebooks ended with ('' where it ended well), by the notebook's path."""
+    """What every cell of a notebook ended with ('' where it ended well), and how many figures, by its path."""
     pytest.importorskip("nbformat", reason="the extra 'test' is not installed")
     places, copied = [], shutil.ignore_patterns("comtrade*", "hdf5", "matlab*")
-    for path in NOTEBOOKS:
+    for path in (*NOTEBOOKS, TEMPLATE):
         folder = tmp_path_factory.mktemp(path.stem) / "examples"
         folder.mkdir()
         if path.stem == "recording":
@@ -79,10 +80,19 @@ def test_there_is_one_for_every_kind_of_device():
 def test_a_notebook_runs(path, outcomes):
     if path.stem == "fmu":
         pytest.importorskip("pythonfmu", reason="the extra 'test' is not installed")
-    assert outcomes[str(path)]
-    assert set(outcomes[str(path)]) == {"''"}
+    *cells, _ = outcomes[str(path)]
+    assert cells
+    assert set(cells) == {"''"}
 
 
+def test_the_notebook_of_init_runs_and_draws(outcomes):
+    *cells, n_figures = outcomes[str(TEMPLATE)]
+    assert cells
+    assert set(cells) == {"''"}
+    assert n_figures >= 1
+
+
+@pytest.mark.evidence
 def test_the_notebook_of_init_runs_in_a_kernel_and_draws(tmp_path):
     pytest.importorskip("nbclient", reason="the extra 'test' is not installed")
     executed = tmp_path / "executed.ipynb"

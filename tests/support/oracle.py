@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from math import pi
 
 import numpy as np
@@ -59,7 +60,8 @@ def rhs(
 ) -> np.ndarray:
     """Time derivative (15,) of the state under the PCC voltage dq (2,) (V) and the wind (m/s), i_q* in A.
 
-    Without limits: valid while the converter voltage and the current reference stay within theirs.
+    Without limits: valid while the converter voltage and the current reference stay within theirs. Many states (15, n)
+    under as many voltages (2, n), or under one (2, 1), are taken at once.
     """
     return np.concatenate([_grid_side(x, v_pcc, p, i_q_ref), _machine_side(x, wind, p)])
 
@@ -85,15 +87,16 @@ def closed_rhs(
     return np.concatenate([rhs(turbine, v_pcc, wind, p, i_q_ref), di_g])
 
 
+@cache
 def linearise(power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I, q_var: float = 0.0) -> Linear:
     """Linearisation at P_machine (W) and |v_pcc| (V, line-to-line RMS) on an ideal source."""
     x, wind = equilibrium(power_w, terminal_voltage_v, p, q_var)
     v_pcc, i_q_ref = np.array([terminal_voltage_v, 0.0]), -q_var / terminal_voltage_v
     return Linear(
-        A=_jacobian(lambda z: rhs(z, v_pcc, wind, p, i_q_ref), x),
-        B=_jacobian(lambda v: rhs(x, v, wind, p, i_q_ref), v_pcc),
-        C=_jacobian(lambda z: current(z, v_pcc, p), x),
-        D=_jacobian(lambda v: current(x, v, p), v_pcc),
+        A=_jacobian(lambda z: rhs(z, v_pcc[:, None], wind, p, i_q_ref), x),
+        B=_jacobian(lambda v: rhs(np.stack([x, x], axis=1), v, wind, p, i_q_ref), v_pcc),
+        C=_jacobian(lambda z: current(z, v_pcc[:, None], p), x),
+        D=_jacobian(lambda v: current(x[:, None], v, p), v_pcc),
         x=x,
         v_pcc=v_pcc,
         wind=wind,
@@ -113,6 +116,7 @@ def admittance_pn(
     return T_PN @ y_dq @ np.linalg.inv(T_PN)
 
 
+@cache
 def equilibrium(
     power_w: float, terminal_voltage_v: float, p: TurbineParameters = TABLE_I, q_var: float = 0.0
 ) -> tuple[np.ndarray, float]:
@@ -121,15 +125,16 @@ def equilibrium(
 
     def residual(z: np.ndarray) -> np.ndarray:
         excess = machine_power(z[:15], p) - power_w
-        return np.append(rhs(z[:15], v_pcc, z[15], p, i_q_ref), excess)
+        return np.concatenate([rhs(z[:15], v_pcc[:, None], z[15], p, i_q_ref), [excess]])
 
     z = _newton(residual, _guess(power_w, terminal_voltage_v, p))
+    z.setflags(write=False)  # kept for whoever asks again
     return z[:15], float(z[15])
 
 
 def machine_power(x: np.ndarray, p: TurbineParameters = TABLE_I) -> float:
     """Power out of the machine into the DC link (W)."""
-    return machine_voltage(x, p) @ x[10:12]
+    return (machine_voltage(x, p) * x[10:12]).sum(axis=0)
 
 
 def machine_voltage(x: np.ndarray, p: TurbineParameters = TABLE_I) -> np.ndarray:
@@ -183,7 +188,8 @@ def closed_loop_poles(
     v_g = source_voltage(power_w, terminal_voltage_v, r_ohm, l_h, p, q_var)
     v_g_dq = np.array([v_g.real, v_g.imag])
     x_closed = np.concatenate([x, i_g])
-    return np.linalg.eigvals(_jacobian(lambda z: closed_rhs(z, v_g_dq, wind, r_ohm, l_h, p, i_q_ref), x_closed))
+    source = v_g_dq[:, None]
+    return np.linalg.eigvals(_jacobian(lambda z: closed_rhs(z, source, wind, r_ohm, l_h, p, i_q_ref), x_closed))
 
 
 def resonance_pole(poles: np.ndarray, f1_hz: float = 50.0) -> complex:
@@ -215,11 +221,11 @@ def _grid_side(x: np.ndarray, v_pcc: np.ndarray, p: TurbineParameters, i_q_ref: 
     i_pll = _rotate(i_l, -delta)
     v_q = _rotate(v_pcc, -delta)[1]
     error_dc = v_dc - p.v_dc_ref_v
-    error = np.array([p.k_dcp * error_dc + xi_dc, i_q_ref]) - i_pll
+    error = _pair(p.k_dcp * error_dc + xi_dc, i_q_ref) - i_pll
     v_conv = _rotate(p.k_p * error + xi + p.k_rd_ohm * _j(i_pll), delta)
     di_l = (v_conv - v_pcc) / p.l_c_h - p.w1_rad_s * _j(i_l)
     dv_c = (v_pcc - v_c) / (p.r_f_ohm * p.c_f_f) - p.w1_rad_s * _j(v_c)
-    dv_dc = (machine_power(x, p) - v_conv @ i_l) / (p.c_dc_f * v_dc)
+    dv_dc = (machine_power(x, p) - (v_conv * i_l).sum(axis=0)) / (p.c_dc_f * v_dc)
     slow = [p.k_pp * v_q + xi_pll, p.k_pi * v_q, p.k_dci * error_dc, *(p.k_i * error), dv_dc]
     return np.concatenate([di_l, dv_c, slow])
 
@@ -227,7 +233,7 @@ def _grid_side(x: np.ndarray, v_pcc: np.ndarray, p: TurbineParameters, i_q_ref: 
 def _machine_side(x: np.ndarray, wind: float, p: TurbineParameters) -> np.ndarray:
     i_s, w_m = x[10:12], x[14]
     w_e = p.pole_pairs * w_m
-    emf = np.array([0.0, w_e * p.flux_wb])
+    emf = _pair(0.0, w_e * p.flux_wb)
     di_s = (emf - machine_voltage(x, p) - p.r_s_ohm * i_s) / p.l_s_h - w_e * _j(i_s)
     tip_speed_ratio = w_m * p.radius_m / wind
     c_q = p.c_q1 * tip_speed_ratio - p.c_q2 * tip_speed_ratio**2
@@ -238,7 +244,7 @@ def _machine_side(x: np.ndarray, wind: float, p: TurbineParameters) -> np.ndarra
 
 def _machine_error(x: np.ndarray, p: TurbineParameters) -> np.ndarray:
     i_q_ref = p.k_opt * x[14] ** 2 / (p.pole_pairs * p.flux_wb)
-    return x[10:12] - np.array([0.0, i_q_ref])
+    return x[10:12] - _pair(0.0, i_q_ref)
 
 
 def _guess(power_w: float, terminal_voltage_v: float, p: TurbineParameters) -> np.ndarray:
@@ -252,9 +258,9 @@ def _guess(power_w: float, terminal_voltage_v: float, p: TurbineParameters) -> n
 
 
 def _newton(residual: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
-    """Root of ``residual``, polished until a step no longer moves it by 1e-13 of its size."""
+    """Root of ``residual``, of columns, polished until a step no longer moves it by 1e-13 of its size."""
     for _ in range(30):
-        step = np.linalg.solve(_jacobian(residual, z), residual(z))
+        step = np.linalg.solve(_jacobian(residual, z), residual(z[:, None])[:, 0])
         z = z - step
         if np.all(np.abs(step) <= 1e-13 * np.maximum(np.abs(z), 1.0)):
             return z
@@ -262,14 +268,21 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.n
 
 
 def _jacobian(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
-    """Derivative by the complex step: exact to rounding, the function being analytic."""
+    """Derivative of a function of columns by the complex step: exact to rounding, the function being analytic."""
     h = 1e-40
-    return np.column_stack([function(z + 1j * h * unit).imag / h for unit in np.eye(len(z))])
+    found = function(z[:, None] + 1j * h * np.eye(len(z))).imag / h
+    found.setflags(write=False)
+    return found
 
 
 def _rotate(x: np.ndarray, angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * x[0] - s * x[1], s * x[0] + c * x[1]])
+
+
+def _pair(d: np.ndarray | float, q: np.ndarray | float) -> np.ndarray:
+    """A dq pair of numbers, or of rows of them."""
+    return np.array([d + 0.0 * q, q + 0.0 * d])
 
 
 def _j(x: np.ndarray) -> np.ndarray:
