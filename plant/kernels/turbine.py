@@ -730,6 +730,11 @@ def _step_thevenin_compensated(reactive, calm, x, p, h, turn):
         _store_4(x, NOTCH, lane, n)
 
 
+def machine(x, wind, p):
+    """`_machine` of plain Python, of arrays of states as well, without the compiler."""
+    return getattr(_machine, "py_func", _machine)(x, wind, p)
+
+
 @njit(forceinline=True, fastmath=_FAST, error_model="numpy")
 def _shunt_decay(p, duration):
     """What is left, after ``duration``, of a free voltage of the ideal source's shunt: re, im in the dq frame."""

@@ -7,10 +7,13 @@ from math import sqrt
 from typing import NamedTuple
 
 from ..circuits.circuit import Circuit
-from ..protocol import Job, OperatingPoint
+from ..errors import SeqsweepError
+from ..protocol import Compensation, Job, OperatingPoint
 from .equilibrium import machine_stands
 from .parameters import TurbineParameters
 from .state import TurbineState
+
+_INTEGRATORS = ("rk4", "emt")
 
 
 class Kind(NamedTuple):
@@ -57,6 +60,17 @@ def order_of(kind: Kind) -> tuple[str, bool, str, bool]:
     """Ideal sources first, then lines, then networks."""
     circuit = "" if kind.circuit is None else repr(kind.circuit)
     return {"ideal": "0", "thevenin": "1"}.get(kind.source, "2"), kind.reactive, circuit, kind.calm
+
+
+def checked_integrator(integrator: str, block: Compensation) -> str:
+    """The integrator that was asked for, if the turbine has it, with that compensation."""
+    if integrator not in _INTEGRATORS:
+        raise SeqsweepError(f"integrator is {integrator!r}; dpmsg-v1 has {' and '.join(map(repr, _INTEGRATORS))}")
+    if integrator == "emt" and block != Compensation():
+        raise SeqsweepError(
+            "integrator 'emt' has no damping control: leave damping_gain at 0, or take integrator 'rk4'"
+        )
+    return integrator
 
 
 def power_of(operating_point: OperatingPoint) -> complex:

@@ -43,8 +43,8 @@ from ..space_vectors import PHASE_PEAK
 from ..under_way import Clockwork, in_lanes, of_each, standing
 from . import behind_network as network
 from . import equilibrium as stationary
-from .asked import Kind, is_reactive, kinds_of, left_to_d, order_of, power_of
-from .flow import poles_of
+from .asked import Kind, checked_integrator, is_reactive, kinds_of, left_to_d, order_of, power_of
+from .flow import poles_apart, poles_of
 from .parameters import LINE_L_H, LINE_R_OHM, TABLE_I, TurbineParameters
 from .state import TurbineState
 from .steps import Steps, of_fourth_order, of_second_order
@@ -53,8 +53,6 @@ from .under_way import clockwork_of, lanes_under_way
 
 if TYPE_CHECKING:
     from .farm import TurbineFarm
-
-_INTEGRATORS = ("rk4", "emt")
 
 _RESIDUAL_LIMIT = 1e-9
 """Largest change over one period, relative to rated, of a certified steady state."""
@@ -109,7 +107,7 @@ class ReferenceTurbine:
             raise SeqsweepError(f"dt_s is {dt_s:g} s; {self.id} needs a step above 0 and up to 5e-4 s")
         self.parameters = TABLE_I._replace(**{name: float(value) for name, value in parameters.items()})
         self.compensation = checked_compensation(self.id, damping)
-        self.integrator = _checked_integrator(integrator, self.compensation)
+        self.integrator = checked_integrator(integrator, self.compensation)
         self.dt_s = float(dt_s)
         self.f1_hz = self.parameters.w1_rad_s / (2.0 * pi)
         self.rating = Rating(self.parameters.u_rated_v, self.parameters.s_rated_va)
@@ -179,7 +177,10 @@ class ReferenceTurbine:
         if self._compensated:
             kept += range(kernel.NOTCH, kernel.N_STATES)
         around = network.surroundings(Job(state, None), self.parameters, self.dt_s) if behind == "network" else None
-        return poles_of(self._stepped, Chart(state, kept, around), self.dt_s)
+        chart, (kind,) = Chart(state, kept, around), kinds_of([Job(state, None)], self.parameters)
+        if kind.calm and around is None and self.integrator == "rk4":
+            return poles_apart(self._stepped, chart, self.parameters, self.dt_s)
+        return poles_of(self._stepped, chart, self.dt_s)
 
     def _certify(self, state: TurbineState) -> None:
         steps = max(1, round(1.0 / (self.f1_hz * self.dt_s)))
@@ -480,16 +481,6 @@ class ReferenceTurbine:
         v = (samples[:, 0] + 1j * samples[:, 1]) * to_stationary
         i = -(samples[:, 2] + 1j * samples[:, 3]) * to_stationary
         return Record(state.time_s, self.dt_s, v, i, self.f1_hz, "load", self.id)
-
-
-def _checked_integrator(integrator: str, block: Compensation) -> str:
-    if integrator not in _INTEGRATORS:
-        raise SeqsweepError(f"integrator is {integrator!r}; dpmsg-v1 has {' and '.join(map(repr, _INTEGRATORS))}")
-    if integrator == "emt" and block != Compensation():
-        raise SeqsweepError(
-            "integrator 'emt' has no damping control: leave damping_gain at 0, or take integrator 'rk4'"
-        )
-    return integrator
 
 
 def _fault_division(r_f_ohm: float, fault_s: tuple[float, float, float]) -> tuple[float, complex]:
