@@ -21,6 +21,9 @@ from .surrogate import Chosen, Surrogate, SurrogateError, build_surrogate
 FAR = 10.0
 """In multiples of the rating: beyond, a power or a voltage is in another unit."""
 
+BESIDE = 0.2
+"""Relative: so far from the rating in kV a terminal voltage that is meant in kV may stand."""
+
 _NAMED = 4  # operating points that are named, of those that are left out
 
 
@@ -78,6 +81,21 @@ def left_out(table: Table) -> str:
     names = ", ".join(str(response.meta.get("op_id")) for response in lost[:_NAMED])
     more = f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
     return f"{names}{more} without a usable row ({lost[0].why_lost})"
+
+
+def voltages_in_kv(table: Table) -> str:
+    """What speaks for terminal voltages in kV instead of pu: all stand about the rating in kV, none about 1 pu.
+
+    They are not refused: a device of 690 V that was swept through deep dips may really have stood at 0.69 pu.
+    """
+    rated_kv = (table.meta.get("bases") or {}).get("rated_voltage_v", 0.0) / 1e3
+    found = [v for v in (response.meta.get("terminal_voltage_pu") for response in table.responses) if v]
+    if not found or not rated_kv or not all(abs(v / rated_kv - 1.0) <= BESIDE < abs(v - 1.0) for v in found):
+        return ""
+    return (
+        f"terminal_voltage_pu is {min(found):g} to {max(found):g} on a device of {rated_kv:g} kV: is it in kV? "
+        "Per unit is of the rated voltage"
+    )
 
 
 def _region_of(table: Table, usable: Sequence[FrequencyResponse]) -> Region:

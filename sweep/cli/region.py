@@ -47,7 +47,6 @@ def surrogate(
     force: Force = False,
 ) -> None:
     """Y at any operating point between the swept ones, how sure it is, and the worst point on a grid."""
-    from ...identify.surrogate.store import left_out
     from ...identify.table.read import read_table
 
     if source_voltage is not None and grid is None:
@@ -62,7 +61,7 @@ def surrogate(
     asked = [_line(model, point) for point in points]  # a point outside is refused before anything is searched
     worst = None if grid is None else _worst(model, grid, source_voltage)
     of_worst = [] if worst is None else _worst_lines(model, worst, source_voltage)
-    doubts = _doubts(model, left_out(content))
+    doubts = _doubts(model, content)
     result("\n".join([_summary(model), *doubts, *of_worst, *asked]), lambda: _values(model, points, worst))
     if output is not None:
         _write(model, content, points, output)
@@ -108,9 +107,13 @@ def _summary(model: Surrogate) -> str:
     )
 
 
-def _doubts(model: Surrogate, lost: str) -> list[str]:
-    """What speaks against the surrogate: sweeps that do not belong together, operating points that it does without."""
-    lines = [f"left out: {lost}"] if lost else []
+def _doubts(model: Surrogate, content: Table) -> list[str]:
+    """What speaks against the surrogate: operating points that it does without, another unit, sweeps that do not
+    belong together."""
+    from ...identify.surrogate.store import left_out, voltages_in_kv
+
+    lost, unit = left_out(content), voltages_in_kv(content)
+    lines = [*([f"left out: {lost}"] if lost else []), *([unit] if unit else [])]
     if model.contradiction:
         lines.append(
             f"The sweeps contradict each other: left out, one is missed by {100.0 * model.contradiction:.0f} % of Y. "

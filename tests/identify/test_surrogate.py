@@ -16,7 +16,13 @@ from seqsweep.identify.surrogate.design import first_points, next_point
 from seqsweep.identify.surrogate.index_sets import border, chebyshev_products, tips
 from seqsweep.identify.surrogate.region import hulled
 from seqsweep.identify.surrogate.sparse_rational import Data, Shape, fit_shape, predict
-from seqsweep.identify.surrogate.store import left_out, read_surrogate, surrogate_of, write_surrogate
+from seqsweep.identify.surrogate.store import (
+    left_out,
+    read_surrogate,
+    surrogate_of,
+    voltages_in_kv,
+    write_surrogate,
+)
 from seqsweep.identify.surrogate.surrogate import (
     AXES,
     CONTRADICTS_ALIKE,
@@ -235,6 +241,22 @@ def test_operating_points_in_other_units_are_refused(axis, factor, words):
     table = SimpleNamespace(responses=responses, meta={"bases": {"rated_power_va": 1.632e6}})
     with pytest.raises(SurrogateError, match=words):
         surrogate_of(table)
+
+
+@pytest.mark.parametrize(
+    ("rated_v", "voltages", "told"),
+    [
+        (690.0, (0.62, 0.66, 0.69, 0.75), "0.62 to 0.75 on a device of 0.69 kV: is it in kV"),
+        (3300.0, (3.0, 3.3, 3.5, 3.6), "3 to 3.6 on a device of 3.3 kV: is it in kV"),
+        (690.0, (0.6, 0.7, 0.8, 0.9), ""),  # a dip that ends near 1 pu
+        (1000.0, (0.95, 1.0, 1.0, 1.05), ""),  # one number in both units
+        (0.0, (0.62, 0.66, 0.69, 0.75), ""),
+    ],
+)
+def test_terminal_voltages_that_look_like_kv_are_told(rated_v, voltages, told):
+    responses = [SimpleNamespace(meta={"terminal_voltage_pu": v}) for v in voltages]
+    said = voltages_in_kv(SimpleNamespace(responses=responses, meta={"bases": {"rated_voltage_v": rated_v}}))
+    assert told in said if told else said == ""
 
 
 def test_operating_points_without_a_usable_row_are_told_with_their_reason():
