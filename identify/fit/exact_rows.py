@@ -23,7 +23,7 @@ _HIGHEST, _PER_ROW = 27, 0.8  # order of an interpolant, and order per row: half
 _MOST_PER_ROW = 1.2  # order per row of one that meets rows to rounding: three quarters as many
 _ONE_PLACE = 1e-6  # rows closer than this, relatively, are at one place
 _SOME = 45  # rows that are asked whether they are exact
-_MANY = 150  # rows from which on the order search gets stuck only where it ends at the highest order
+_MANY = 150  # rows from which on a search that ended below the highest order is stuck only where rows are exact
 
 
 def from_interpolant(problem: Problem, data: DqData, trial: Trial, max_order: int) -> Trial:
@@ -31,9 +31,11 @@ def from_interpolant(problem: Problem, data: DqData, trial: Trial, max_order: in
 
     ``max_order`` is where the search for the trial's order had to end.
     """
-    stuck = order_of(trial.poles) + 2 > max_order
-    if (len(data.nu_hz) > _MANY and not stuck) or not _is_unexplained(problem, trial):
+    if not _is_unexplained(problem, trial):
         return trial
+    if len(data.nu_hz) > _MANY and order_of(trial.poles) + 2 <= max_order:
+        exact = exact_fit(problem, data)
+        return trial if exact is None else exact
     found = _describing(data)
     if found is None:
         return beyond_search(problem, data, trial, max_order)

@@ -192,10 +192,12 @@ def _searched_again(problem: Problem, trial: Trial, max_order: int) -> Trial:
 def _without_faint(problem: Problem, data: DqData, trial: Trial) -> tuple[Trial, tuple[str, ...]]:
     """The trial without faint poles, unless rows are exact: there none of its poles is owed to an error of the sweep.
 
-    A fit that stops at the floor need not show that rows are exact; an interpolant does.
+    A fit that stops at the floor need not show that rows are exact, nor have the device's poles; an interpolant does.
     """
     less, removed = drop_faint(problem, trial)
-    exact = exact_fit(problem, data) if removed else None
+    if is_exact(problem, less) or not (removed or less.cost < floor_cost(problem)):
+        return less, removed
+    exact = exact_fit(problem, data)
     return (less, removed) if exact is None else (exact, ())
 
 

@@ -80,6 +80,23 @@ def test_exact_rows_of_a_device_of_more_modes_than_are_tried_are_fitted_exactly(
     assert max(np.abs(found.poles - pole).min() / abs(pole) for pole in poles) < 1e-9
 
 
+@pytest.mark.parametrize("seed", [0, 4])
+def test_many_exact_rows_are_fitted_exactly_where_the_search_ended_by_itself(seed: int) -> None:
+    """Pairs of real poles 0.5 % apart and a bare capacitor: the search of seed 4 ends at poles that are none."""
+    rng = np.random.default_rng(seed)
+    poles = np.array([-15.6, -23.9, -196.4, -198.5, -554.4, -557.2, -1627.9, -1636.9, -58.5 + 51.9j, -58.5 - 51.9j])
+    real = rng.normal(size=(8, 2, 2)) * 0.3 * np.abs(poles[:8])[:, None, None]
+    pair = 30.0 * (rng.normal(size=(2, 2)) + 1j * rng.normal(size=(2, 2)))
+    residues = np.concatenate([real, [pair, pair.conj()]])
+    nu = np.linspace(1.0, 2000.0, 221)
+    s = 2j * np.pi * nu[:, None, None, None]
+    capacitor = 1e-3 * s[:, 0] * np.eye(2) + 0.3 * np.array([[0.0, -1.0], [1.0, 0.0]])
+    y = capacitor + np.sum(residues / (s - poles[:, None, None]), axis=1)
+    found = fit_response(FrequencyResponse(50.0 + nu, dq_to_pn(y), 50.0, meta={"stable_on": {"grid": "ideal"}}))
+    assert found.order == 10
+    assert max(np.abs(found.poles - pole).min() / abs(pole) for pole in poles) < 1e-6
+
+
 @pytest.mark.parametrize("n_unstable", [0, None])
 def test_rows_that_are_met_exactly_keep_a_mode_whose_side_of_the_axis_they_hardly_tell(n_unstable: int | None) -> None:
     """A slow mode in a wide hole around f1, worth less than 1e-4 of every row: without it, all others were off."""
