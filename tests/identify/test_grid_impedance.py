@@ -184,7 +184,9 @@ def test_what_is_over_a_whole_period_is_cut_off():
 # With noise
 
 
-@pytest.mark.parametrize(("kind", "corner_hz"), [("multisine", 1e5), ("qrb", 300.0)])
+@pytest.mark.parametrize(
+    ("kind", "corner_hz"), [pytest.param("multisine", 1e5, marks=pytest.mark.evidence), ("qrb", 300.0)]
+)
 def test_intervals_hold_the_truth_as_often_as_they_say(kind, corner_hz):
     """Of 200 trials 95 % +- 4.6 % (three sigma of the count): the thinned twin of the evidence below."""
     grid = GRIDS["Table I, SCR 1.2"]

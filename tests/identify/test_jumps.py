@@ -24,7 +24,8 @@ from ..support.regions import BASES, PQV, PV, unseen
 from ..support.switching import KINDS, drawn, limited, placed, swept, switched
 
 
-@pytest.mark.parametrize(("kind", "most"), [pytest.param("limit", 24, marks=pytest.mark.evidence), ("smooth", 13)])
+@pytest.mark.evidence
+@pytest.mark.parametrize(("kind", "most"), [("limit", 24), ("smooth", 13)])
 def test_jumps_are_found_and_located(kind, most):
     assert not placed(kind, PV, 11, most).wrong
 

@@ -186,7 +186,7 @@ def going_wrong(folder, box, powers, timeout_s, f_hz):
 @pytest.mark.parametrize(
     ("defines", "faults"),
     [
-        (["STATE"], [fault for fault, told in FAULTS.items() if told]),
+        pytest.param(["STATE"], [fault for fault, told in FAULTS.items() if told], marks=pytest.mark.evidence),
         ([], ["errs", "nans", "aborts"]),
         (["STATE", "FMI3"], ["errs", "prints", "discards"]),
     ],
@@ -209,7 +209,7 @@ def test_every_bad_box_costs_its_own_points_with_the_reason(tmp_path, built, def
     assert list((tmp_path / "temporary").iterdir()) == []  # what was unpacked went with the run
 
 
-@pytest.mark.parametrize("defines", [["STATE"], []], ids=["state", "fork"])
+@pytest.mark.parametrize("defines", [pytest.param(["STATE"], marks=pytest.mark.evidence), []], ids=["state", "fork"])
 def test_a_box_that_sleeps_is_ended_by_the_time_limit(tmp_path, built, defines):
     path = going_wrong(tmp_path, built(*defines), [1 + list(FAULTS).index("sleeps")], 0.5, [45.0])
     status, said = ended("run", path, "-o", tmp_path / "y.parquet", env=_environment(tmp_path))

@@ -24,15 +24,34 @@ def failed(plant, source=None):
     return [finding for finding in check_plant(plant, source=source) if not finding.passed]
 
 
-@pytest.mark.parametrize("source", [None, GRID, WEAK], ids=["ideal", "grid", "weak"])
-@pytest.mark.parametrize("make", [step_plants.branch, step_plants.compiled_branch])
+@pytest.mark.parametrize(
+    ("make", "source"),
+    [
+        *(
+            pytest.param(step_plants.branch, source, id=f"plain, {name}")
+            for source, name in ((None, "ideal"), (GRID, "grid"))
+        ),
+        pytest.param(step_plants.branch, WEAK, id="plain, weak", marks=pytest.mark.evidence),
+        pytest.param(step_plants.compiled_branch, None, id="compiled, ideal"),
+        pytest.param(step_plants.compiled_branch, GRID, id="compiled, grid"),
+        pytest.param(step_plants.compiled_branch, WEAK, id="compiled, weak"),
+    ],
+)
 def test_a_step_function_becomes_a_plant_that_keeps_its_promise(make, source):
     assert failed(make(), source) == []
 
 
-@pytest.mark.parametrize("make", [step_plants.three_phase, step_plants.generator, step_plants.unbalanced])
-def test_so_does_one_with_phases_one_with_power_and_one_without_balance(make):
-    assert failed(make(), GRID) == []
+@pytest.mark.parametrize(
+    ("make", "source"),
+    [
+        (step_plants.three_phase, None),
+        pytest.param(step_plants.three_phase, GRID, marks=pytest.mark.evidence),
+        (step_plants.generator, GRID),
+        (step_plants.unbalanced, GRID),
+    ],
+)
+def test_so_does_one_with_phases_one_with_power_and_one_without_balance(make, source):
+    assert failed(make(), source) == []
 
 
 @pytest.mark.parametrize("section", [{"kind": "ideal"}, {"kind": "thevenin", "r_ohm": 0.012, "x_ohm": 0.25}])

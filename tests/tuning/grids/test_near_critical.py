@@ -83,7 +83,7 @@ def test_elements_are_judged_and_counted_right_and_their_pole_is_the_truth(
         assert np.abs(stability.closed_loop.poles - case.critical).min() < WITHIN
 
 
-@pytest.mark.parametrize(("rows", "noise"), [(100, 0.0), (25, 0.0), (60, 1e-3), (60, 1e-2)])
+@pytest.mark.parametrize(("rows", "noise"), [(25, 0.0), (60, 1e-3)])
 def test_no_table_of_z_is_judged_wrong(rows: int, noise: float, device: Device, linear: oracle.Linear) -> None:
     rng = np.random.default_rng(9)
     for case in cases(linear, 5, 10):
