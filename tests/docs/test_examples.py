@@ -75,7 +75,7 @@ def test_the_grid_is_found_in_a_noisy_second(tmp_path: Path) -> None:
     for found, half, true in re.findall(r"= (\S+) \+- (\S+) ohm.*true (\S+)", said):
         assert abs(float(found) - float(true)) < 2.0 * float(half)
     assert "an R-L branch: True" in said
-    colours = imread(picture)[..., :3].reshape(-1, 3)
+    colours = imread(picture)[::7, ::7, :3].reshape(-1, 3)
     assert len(np.unique(np.round(colours, 1), axis=0)) > 5  # axes, lines, their errors and the fit: no empty sheet
 
 

@@ -59,6 +59,7 @@ def test_a_mean_over_neighbours_keeps_what_is_infinite_where_it_is():
     assert np.all(mean[np.isfinite(mean)] == 1.0)
 
 
+@pytest.mark.evidence
 def test_the_library_s_method_answers_in_the_surrogate_s_place():
     points = unseen(PV, 40, 2)
     rival = build_rival(swept_by(noisy(TURBINE, 3e-6, 1), PV, 10, 1), PV)

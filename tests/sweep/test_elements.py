@@ -212,11 +212,11 @@ def test_no_room_to_unpack_an_fmu_is_a_failure_of_the_machine(tmp_path):
 
 @LINUX
 def test_a_box_that_needs_more_memory_than_it_may_costs_its_own_points(tmp_path):
-    path = campaign(tmp_path, plant="python:misbehaving_plants:Leaking", plant_lines="memory_mb = 600", n=2)
+    path = campaign(tmp_path, plant="python:misbehaving_plants:Leaking", plant_lines="memory_mb = 400", n=2)
     done = call("run", path, "-o", tmp_path / "y.parquet", timeout=600)
     assert done.returncode == 1, done.stderr
     shown = command("show", tmp_path / "y.parquet")
-    assert "MB of memory; plant.memory_mb allows 600 MB" in " ".join(shown.stdout.split())
+    assert "MB of memory; plant.memory_mb allows 400 MB" in " ".join(shown.stdout.split())
 
 
 WITHOUT_UNDERTAKER = """

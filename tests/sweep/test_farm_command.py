@@ -88,11 +88,19 @@ def weak(folder: Path) -> Path:
     return folder / "weak.toml"
 
 
-def test_less_power_that_restores_the_damping_is_found(folder):
-    done = command("farm", weak(folder), "--by", "power", "--damping", "6", "-o", folder / "w.json", "--force")
-    assert done.returncode == 0, done.stderr
-    assert all(len(line) <= 80 or str(folder) in line for line in done.shown.splitlines())
-    content = json.loads((folder / "w.json").read_text())
+@pytest.fixture(scope="module")
+def advised(folder):
+    """Less power asked for on a weaker source, in `r.json`; the file has a switching state as well. What was said."""
+    states = '[[state]]\nname = "one out"\neach_out = ["wt1"]\n'
+    (folder / "states of weak.toml").write_text(weak(folder).read_text("utf-8") + states, "utf-8")
+    asked = ["--by", "power", "--damping", "6", "-o", folder / "r.json", "--diagram", folder / "d.svg"]
+    return command("farm", folder / "states of weak.toml", *asked)
+
+
+def test_less_power_that_restores_the_damping_is_found(folder, advised):
+    assert advised.returncode == 0, advised.stderr
+    assert all(len(line) <= 80 or str(folder) in line for line in advised.shown.splitlines())
+    content = json.loads((folder / "r.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema())
     jsonschema.validate(content, schema())
     (advice,) = content["advice"]
@@ -187,14 +195,11 @@ def test_a_network_that_is_none_is_refused(folder):
     assert "neither a network of pandapower" in done.stderr
 
 
-def test_a_report_of_the_farm_alone_holds_diagram_advice_and_states(folder):
+def test_a_report_of_the_farm_alone_holds_diagram_advice_and_states(folder, advised):
     """No table beside it: the JSON of the farm has everything, that of its states is taken as well."""
-    text = (EXAMPLE / "farm.toml").read_text("utf-8").replace("s_sc_mva = 9.5", "s_sc_mva = 5.2")
-    states = '[[state]]\nname = "one out"\neach_out = ["wt1"]\n'
-    (folder / "weak.toml").write_text(text + states, "utf-8")
-    one = ["--by", "power", "--damping", "6", "-o", folder / "r.json", "--diagram", folder / "d.svg", "--force"]
-    assert command("farm", folder / "weak.toml", *one).returncode == 0
-    assert command("farm", folder / "weak.toml", "--states", "-o", folder / "s.json", "--force").returncode == 0
+    assert (
+        command("farm", folder / "states of weak.toml", "--states", "-o", folder / "s.json", "--force").returncode == 0
+    )
     (folder / "s.json").rename(folder / "all states.json")
     done = command("report", folder / "r.json", folder / "all states.json", "-o", folder / "r.html", "--force")
     assert done.returncode == 0, done.stderr

@@ -69,8 +69,10 @@ def test_verifying_is_done_in_a_child_and_says_the_same(module):
     content = json.loads((module / "tuning.json").read_text())
     content["provenance"]["table"]["configuration"] = foreign(content["provenance"]["table"]["configuration"])
     (module / "foreign.json").write_text(json.dumps(content))
+    (module / "short.toml").write_text('duration_s = 0.5\n[[event]]\nkind = "grid_step"\ntime_s = 0.1\nscale = 1.4\n')
     said = [
-        command("verify", module / f"{name}.json", "-o", module / f"{name}-out.json") for name in ("tuning", "foreign")
+        command("verify", module / f"{n}.json", "--scenario", module / "short.toml", "-o", module / f"{n}-out.json")
+        for n in ("tuning", "foreign")
     ]
     assert [done.returncode for done in said] == [0, 0], said
     assert said[0].stdout == said[1].stdout.replace("python:foreign_turbine:Turbine", "dpmsg-v1")

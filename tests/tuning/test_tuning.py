@@ -504,7 +504,7 @@ def test_pole_map_spans_the_swept_band_and_says_what_decides(result: TuningResul
     assert sum("damping" in text for text in texts_of(figure)) == len(result.points)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1.2, 1.4])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(1.2, marks=pytest.mark.evidence), 1.4])
 def test_nothing_is_printed_over_anything(scale: float) -> None:
     """Titles, labels and legends of the page keep apart, and stay inside it; README's own scales."""
     line = SeriesRL(0.012, 0.25, F1_HZ)

@@ -52,7 +52,7 @@ AROUND = np.concatenate([np.geomspace(1.0, 27.0, 14), np.geomspace(33.0, 900.0, 
 
 def test_a_mode_between_two_rows_that_decides_keeps_a_stable_verdict_back() -> None:
     assert unstable_poles(4.0) == 2
-    verdicts = [tune_point(table(AROUND, 4.0, 3e-2, seed), GRID) for seed in range(6)]
+    verdicts = [tune_point(table(AROUND, 4.0, 3e-2, seed), GRID) for seed in range(3)]
     assert {point.verdict for point in verdicts} <= {"undecided", "unstable"}
 
 
@@ -60,7 +60,7 @@ def test_noise_alone_asks_for_no_mode() -> None:
     """Between close rows; the mode's residue is zero."""
     assert unstable_poles(0.0) == 0
     rows = np.geomspace(1.0, 900.0, 60)
-    for seed in range(6):
+    for seed in range(3):
         response = table(rows, 0.0, 1e-2, seed)
         found = unseen(fit_response(response), to_dq(response), (GRID,), np.zeros(len(rows), dtype=bool))
         assert found is None or found.in_gap or found.evidence < SHOWN
