@@ -29,7 +29,8 @@ nbformat.write(book, sys.argv[3])
 """
 
 ONE_BY_ONE = """
-import json, os, sys
+import gc, json, os, sys
+gc.disable()  # looking for garbage would take a tenth of the time
 import nbformat
 from IPython.core.interactiveshell import InteractiveShell
 from matplotlib import pyplot

@@ -342,6 +342,7 @@ def test_undecided_verdict_says_what_would_decide() -> None:
 # Intervals -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.evidence
 def test_margin_s_standard_error_is_the_spread_of_many_tables() -> None:
     """40 tables leave 11 % of doubt on a standard deviation."""
     at = device()

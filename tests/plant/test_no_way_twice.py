@@ -44,6 +44,9 @@ BOXES = {
 }
 """How each is made, and how often the first operating point is settled: what hides its states is found out by that."""
 
+IN_EVIDENCE = {"library, by fork", "FMI 3.0 controller, by fork", "FMI 2.0 device, its own state"}
+"""Another of the same way or the same standard is in every run."""
+
 
 @pytest.fixture
 def steps(tmp_path, monkeypatch):
@@ -81,7 +84,9 @@ class Asked:
         return self._listen(jobs, windows, block_steps, n_blocks)
 
 
-@pytest.mark.parametrize("box", list(BOXES))
+@pytest.mark.parametrize(
+    "box", [pytest.param(box, marks=pytest.mark.evidence) if box in IN_EVIDENCE else box for box in BOXES]
+)
 def test_a_sweep_in_rounds_takes_the_steps_that_it_asks_for_and_no_other(tmp_path, steps, box):
     """Four operating points, each come back to twice, as an adaptive sweep does."""
     make, times_first = BOXES[box]

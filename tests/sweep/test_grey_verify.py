@@ -323,6 +323,7 @@ def test_every_fault_of_the_turbine_s_page_ends_as_it_does_there():
                 held_through_a_fault(scale, kind, r_ohm)
 
 
+@pytest.mark.evidence
 def test_a_power_step_leaves_the_rotor_out():
     """0.65 to 0.70 MW: at once the same; the turbine's rotor then gives way, its power by three times as much."""
     step = scenario(0.65e6, PowerStep(0.1, 0.70e6), scale=1.0)

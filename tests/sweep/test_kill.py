@@ -80,7 +80,9 @@ def finished(path, table, *options, run=command):
     return table.read_bytes()
 
 
-@pytest.mark.parametrize(("n_shards", "isolate"), [(0, "false"), (3, "true"), (6, "false")])
+@pytest.mark.parametrize(
+    ("n_shards", "isolate"), [(0, "false"), (3, "true"), pytest.param(6, "false", marks=pytest.mark.evidence)]
+)
 def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, undisturbed, n_shards, isolate):
     """Before the first shard, in the midst of them, near the last one."""
     setting = ["--jobs", 2, "--set", f"plant.isolate={isolate}"]

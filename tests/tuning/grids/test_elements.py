@@ -109,7 +109,7 @@ def test_a_distributed_cable_follows_its_closed_form(length_km: float) -> None:
     assert np.all(grid.phase_modes.real < 0.0)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.evidence), 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", [0, 2, 3, 5, *(pytest.param(k, marks=pytest.mark.evidence) for k in (1, 4))])
 def test_no_network_with_long_cables_is_refused_for_its_resonances(seed: int) -> None:
     """Two cables of up to 300 km beside whatever else stands in a grid: the states give the closed form."""
     rng = np.random.default_rng(seed)

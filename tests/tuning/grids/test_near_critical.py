@@ -74,7 +74,7 @@ def judged(device: Device, grid: Grid) -> Stability:
 def test_elements_are_judged_and_counted_right_and_their_pole_is_the_truth(
     device: Device, linear: oracle.Linear
 ) -> None:
-    for case in cases(linear, 4, 20):
+    for case in cases(linear, 4, 10):
         stability = judged(device, elements_grid(case.document, F1_HZ).scaled(case.scale))
         n_unstable = int(np.sum(case.poles.real > 0.0))
         assert stability.verdict in ("undecided", "stable" if case.stable else "unstable"), case
