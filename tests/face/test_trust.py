@@ -30,8 +30,9 @@ PIPES = {
 
 @cache
 def nodes_of(path: Path) -> list[ast.AST]:
-    """A module as Python reads it, part by part."""
-    return list(ast.walk(ast.parse(path.read_text("utf-8"))))
+    """What a module calls and imports, as Python reads it."""
+    kinds = ast.Call, ast.Import, ast.ImportFrom
+    return [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, kinds)]
 
 
 @cache

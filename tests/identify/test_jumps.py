@@ -133,7 +133,7 @@ def test_a_device_that_switches_at_a_value_of_a_parameter_is_parted_by_it():
 
 
 REGION = {
-    "active_power_mw": [0.2, 1.3],
+    "active_power_mw": [0.5, 0.9],
     "terminal_voltage_pu": [0.9, 1.1],
     "tolerance": 0.01,
     "most": 40,

@@ -204,8 +204,8 @@ def test_its_control_starts_when_that_of_the_turbine_alone_does():
 # ---------------------------------------------------------------- switching
 
 
-def test_a_turbine_that_is_put_in_brings_the_farm_to_its_load_flow():
-    """Three of which the third comes at 0.1 s: seconds later all stand where closed-form phasors say."""
+def third_put_in():
+    """A farm of three of which the third comes at 0.1 s, and the terminal voltages of two and of three."""
     n, star = 3, star_of(3, 0.7)
     two, _ = operating_point(star, powers_of(3)[:2])
     three, _ = operating_point(star, powers_of(3))
@@ -214,11 +214,22 @@ def test_a_turbine_that_is_put_in_brings_the_farm_to_its_load_flow():
     step = NetworkStep(0.1, circuit, (True,) * 3, tuple(complex(v) for v in three), "third in")
     start = (*(complex(v) for v in two), 690.0 + 0j)
     scenario = FarmScenario(circuit, 690.0, (True, True, False), start, ("bus", "source"), 563.4, (step,))
+    return farm, scenario, step, two, three
+
+
+def test_a_turbine_that_is_put_in_brings_the_farm_to_its_load_flow():
+    """Less than a second later all stand where closed-form phasors say."""
+    farm, scenario, _, _, three = third_put_in()
     found = simulate_farm(farm, scenario, None, 0.8)
     assert np.all(found.devices[2].i[:2000] == 0.0)
     assert found.lost_s is None
     for k, of in enumerate(found.devices):
         assert abs(of.v[-1]) * np.sqrt(1.5) == pytest.approx(abs(three[k]), rel=2e-4)
+
+
+@pytest.mark.evidence
+def test_a_turbine_that_is_taken_out_again_leaves_the_load_flow_of_before():
+    farm, scenario, step, two, _ = third_put_in()
     out = replace(step, connected=(True, True, False), what="third out", time_s=0.3)
     left = simulate_farm(farm, replace(scenario, events=(step, out)), None, 0.8)
     assert abs(left.devices[0].v[-1]) * np.sqrt(1.5) == pytest.approx(abs(two[0]), rel=2e-4)

@@ -365,7 +365,7 @@ def driven_library():
     ("switches", "snapshot"),
     [
         (("HIDDEN_STATES",), "auto"),
-        (("HIDDEN_STATES",), "copy"),
+        pytest.param(("HIDDEN_STATES",), "copy", marks=EVIDENCE),
         pytest.param((), "fork", marks=EVIDENCE),
     ],
 )
