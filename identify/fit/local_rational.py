@@ -92,7 +92,8 @@ def _solved(powers: np.ndarray, y: np.ndarray, p: int, q: int) -> tuple[np.ndarr
     carried = (weight * y)[:, :, :, None] * powers[:, :, None, : q + 1]
     inside = np.einsum("bmi,bmec->biec", basis.conj(), carried)
     left = carried - np.einsum("bmi,biec->bmec", basis, inside)
-    denominator = np.linalg.svd(left.reshape(len(y), -1, q + 1), full_matrices=False)[2][:, -1].conj()
+    small = np.linalg.qr(left.reshape(len(y), -1, q + 1), mode="r")  # of the same right singular vectors
+    denominator = np.linalg.svd(small)[2][:, -1].conj()
     target = np.einsum("biec,bc->bei", inside, denominator)
     numerator = np.linalg.solve(upper[:, None], target[..., None])[..., 0]
     return numerator, denominator
