@@ -220,7 +220,7 @@ def test_a_record_without_a_fundamental_is_refused():
 
 def test_the_turbine_at_an_unknown_f1_without_noise_is_its_linearisation_but_for_amplitude_squared():
     """Single precision; 0.5 % of rated. At 1 % the device itself strays by 2.1e-4 at 77 Hz, four times as much."""
-    points_hz = (23.0, 77.0, 250.0)
+    points_hz = (23.0, 77.0)
 
     def single(f):
         whole = turbine_at(f, 0.005)

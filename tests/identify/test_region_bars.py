@@ -27,6 +27,7 @@ from operating_region.kept import Kept
 from operating_region.rival import build_rival
 
 
+@pytest.mark.evidence
 def test_rows_with_noise_are_certified_to_a_hundredth_of_a_per_cent():
     """Before denominators had a prior, noise of 3e-6 made poles between the sweeps: 18 sweeps and more."""
     truth = Truth(TURBINE, PV, 60, 3)

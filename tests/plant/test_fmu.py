@@ -78,13 +78,13 @@ TWO_PHASES = {"voltage": ["v_alpha", "v_beta"], "current": ["i_alpha", "i_beta"]
 @pytest.mark.parametrize(
     ("defines", "twin", "change"),
     [
-        (["STATE"], step_plants.branch, {}),
+        pytest.param(["STATE"], step_plants.branch, {}, marks=pytest.mark.evidence),
         ([], step_plants.branch, {}),
         (["STATE"], step_plants.branch, TWO_PHASES),
         (["FMI3", "STATE"], step_plants.branch, ARRAYS),
-        (["FMI3"], step_plants.branch, {}),
+        pytest.param(["FMI3"], step_plants.branch, {}, marks=pytest.mark.evidence),
         (["FMI3", "CONVERTER", "STATE"], step_plants.converter, {"voltage": ["v_abc"]}),
-        (["CONVERTER", "STATE"], step_plants.converter, {}),
+        pytest.param(["CONVERTER", "STATE"], step_plants.converter, {}, marks=pytest.mark.evidence),
         (["CONVERTER"], step_plants.converter, {"current": TWO_PHASES["current"]}),
     ],
 )

@@ -103,6 +103,13 @@ def command(*arguments):
 
 
 @contextmanager
+def without_pictures():
+    """Reports whose words are asked for are made without what takes longest, the drawing; places of pictures stay."""
+    with patch("seqsweep.sweep.report.handover.svg.styled", lambda make: "<svg></svg>"):
+        yield
+
+
+@contextmanager
 def _as_a_process(argv, out, err):
     """Folder, arguments, streams, warnings and modules of a process of its own, given back at the end."""
     kept_modules, kept_signals = set(sys.modules), {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}

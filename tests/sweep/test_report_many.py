@@ -16,6 +16,8 @@ from seqsweep.sweep.report.handover.bank import Bank, read_bank, sentence_of
 from seqsweep.sweep.report.handover.inputs import read_inputs
 from seqsweep.sweep.report.handover.page import MOST, page
 
+from ..support.commands import without_pictures
+
 TOP = Path(__file__).parents[2]
 
 
@@ -33,6 +35,12 @@ def folder(tmp_path_factory):
     make.table(folder / "y.parquet", 60, 12)
     make.bank(folder / "j.parquet", 60, 30)
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _words_alone():
+    with without_pictures():
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from seqsweep.sweep.cli.commands import COMMANDS
 from seqsweep.sweep.cli.main import app
 from seqsweep.sweep.cli.telling import plain
 
-from ..support.commands import SEQSWEEP, TOP, campaign, command
+from ..support.commands import SEQSWEEP, TOP, campaign, command, without_pictures
 
 
 def test_the_module_is_the_command():
@@ -132,7 +132,8 @@ def test_json_is_all_that_is_printed_and_quiet_says_nothing_else(swept, words):
         "voltage_kv = 0.69\n[[element]]\nkind = 'series'\nr_ohm = 0.1\nx_ohm = 0.2\n"
     )
     places = [swept / word if ("." in word and word[0].isalpha()) or word == "grids" else word for word in words]
-    done = command(*places, "--json", "--quiet")
+    with without_pictures():
+        done = command(*places, "--json", "--quiet")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert json.loads(done.stdout)
