@@ -96,7 +96,7 @@ def test_a_killed_runner_costs_nothing_but_time(tmp_path, slow, undisturbed, n_s
 
 def test_a_runner_killed_while_it_packs_shards_costs_nothing_but_time(tmp_path):
     """As soon as a pack is begun."""
-    path, table = many_points(tmp_path, 280), tmp_path / "y.parquet"
+    path, table = many_points(tmp_path, 264), tmp_path / "y.parquet"
     process = start("run", path, "-o", table, "--jobs", 2)
     try:
         wait_for(lambda: table.exists() or any(Path(f"{table}.parts").glob("*.pack*")))

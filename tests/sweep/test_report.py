@@ -16,7 +16,7 @@ from seqsweep.sweep.report.handover.inputs import read_inputs
 from seqsweep.sweep.report.handover.quantities import QUANTITIES
 from seqsweep.sweep.report.handover.words import sentence_of, sentences
 
-from ..support.commands import campaign, command
+from ..support.commands import campaign, command, without_pictures
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,8 @@ def test_files_that_make_no_report_are_refused(folder, names, words):
 def test_a_result_about_another_table_is_told_and_so_is_the_date_that_is_asked_for(folder, tmp_path):
     file = campaign(tmp_path, plant="branch-v1", powers=(0.0,), n=12)
     assert command("run", file, "-o", tmp_path / "other.parquet", "--jobs", 1).returncode == 0
-    done = command("report", tmp_path / "other.parquet", folder / "t.json", "-o", tmp_path / "r.html", "--stamp")
+    with without_pictures():
+        done = command("report", tmp_path / "other.parquet", folder / "t.json", "-o", tmp_path / "r.html", "--stamp")
     assert done.returncode == 0
     text = (tmp_path / "r.html").read_text("utf-8")
     assert "was made from another table" in text
