@@ -8,7 +8,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -22,7 +21,7 @@ def measure(quick: bool) -> Report:
     report = Report("One and two workers")
     found = [fresh(__file__, quick=quick) for _ in range(1 if quick else 2)]
     for name in found[0]:
-        bar = {"sweep, 2 threads: simulation + extraction": 0.1}.get(name)
+        bar = {"sweep, 2 threads: simulation + extraction": 0.06}.get(name)
         unit = "" if "efficiency" in name or "ratio" in name else "s"
         report.add(name, median(run[name] for run in found), unit, bar)
     return report
@@ -30,23 +29,25 @@ def measure(quick: bool) -> Report:
 
 def child(quick: bool) -> dict[str, float]:
     """Times (s) and efficiencies."""
-    from seqsweep.sweep.measure.measure import measure as measure_batch
     from seqsweep.sweep.run.campaign import run
+    from seqsweep.sweep.run.workers import Workers, pool
 
     plan, plant = table_1_plan("sweep.tolerance=1e-4")
-    batches = list(plan.batches())
-
-    def sweep(map_: Callable[..., Any]) -> Callable[[], object]:
-        return lambda: list(map_(lambda batch: measure_batch(plant, batch), batches))
 
     bare, _ = table_1_plan("sweep.tolerance=1e-4", "sweep.probes=0")
-    without_probes = list(bare.batches())
 
-    def unprobed() -> object:
-        return [measure_batch(plant, batch) for batch in without_probes]
+    def sweep(jobs: int, plan: Any = plan) -> Callable[[], object]:
+        """What `run` does between the plan and the table: batches to workers, and their results."""
+        batches = list(plan.batches())
 
-    with ThreadPoolExecutor(2) as pool, tempfile.TemporaryDirectory() as folder:
-        one, two, fewer = _in_turns((sweep(map), sweep(pool.map), unprobed), 5 if quick else 15)
+        def swept() -> object:
+            with pool(plan, plant, Workers(jobs, "threading", None)) as results:
+                return list(results(batches))
+
+        return swept
+
+    with tempfile.TemporaryDirectory() as folder:
+        one, two, fewer = _in_turns((sweep(1), sweep(2), sweep(1, bare)), 5 if quick else 15)
         found = {
             "sweep: ratio of probed to unprobed": one / fewer,
             "sweep, 1 thread: simulation + extraction": one,
@@ -80,7 +81,7 @@ def _in_turns(functions: Sequence[Callable[[], object]], repetitions: int) -> li
 
 def _kernel_s(plan: Any, plant: Any) -> float:
     """Time of the stepping alone: the sweep again, with a clock around what the plant is asked to step."""
-    from seqsweep.sweep.measure.measure import measure as measure_batch
+    from seqsweep.sweep.measure.measure import measure_together
 
     spent = 0.0
 
@@ -103,8 +104,7 @@ def _kernel_s(plan: Any, plant: Any) -> float:
 
             return Stretches()
 
-    for batch in plan.batches():
-        measure_batch(Clocked(), batch)
+    measure_together(Clocked(), list(plan.batches()))
     return spent
 
 

@@ -81,25 +81,25 @@ def harmonics(x: np.ndarray, t0_s: float, dt_s: float) -> np.ndarray:
 
 
 def periodic_window(
-    lines: np.ndarray, n_cycles: int, n_blocks: int, start: float | np.ndarray = 0.0
+    lines: np.ndarray, n_cycles: int | np.ndarray, n_blocks: int | np.ndarray, start: float | np.ndarray = 0.0
 ) -> complex | np.ndarray:
-    """What a tapered window hears, at its line ``n_cycles`` (whole cycles per window), of a signal
-    that repeats every block.
+    """What tapered windows hear, at their lines of ``n_cycles`` (whole cycles per window), of a signal that repeats
+    every block.
 
     Parameters
     ----------
     lines : (..., n) complex
         `harmonics` of one block, of one signal or of many.
-    n_cycles, n_blocks : int
-        Signed cycles of the line in the window; blocks in the window.
-    start : float or (...,) float
+    n_cycles, n_blocks : int or (m,) int
+        Signed cycles of the line in the window; blocks in the window. Of several windows the result is (..., m).
+    start : float, (...,) float or (..., m) float
         Begin of the window, in windows since time zero: the taper begins there, the line at zero.
 
     Notes
     -----
     The signal has lines every ``n_blocks`` bins only; the taper hears those at most two bins away.
     """
-    heard = np.zeros(lines.shape[:-1], complex)
+    heard = np.zeros(lines.shape[:-1] + np.shape(n_cycles), complex)
     for distance, weight, harmonic in _heard(lines.shape[-1], n_cycles, n_blocks):
         x, turn = weight * lines[..., harmonic], np.exp(-2j * np.pi * ((distance * start) % 1.0))
         # by parts: numpy's product of complex arrays may round otherwise than that of two numbers
@@ -113,9 +113,12 @@ def periodic_window_variance(variance: np.ndarray, n_cycles: int, n_blocks: int)
     return float(sum(weight**2 * variance[k] for _, weight, k in _heard(len(variance), n_cycles, n_blocks)))
 
 
-def _heard(n_lines: int, n_cycles: int, n_blocks: int) -> Iterator[tuple[int, float, int]]:
-    """Harmonics at most two bins from a line: (distance in bins, weight, number of the harmonic)."""
+def _heard(
+    n_lines: int, n_cycles: int | np.ndarray, n_blocks: int | np.ndarray
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Harmonics at most two bins from lines: (distance in bins, weight, number of the harmonic), no weight for none."""
     for distance in range(-2, 3):
-        harmonic, rest = divmod(n_cycles - distance, n_blocks)
-        if rest == 0 and abs(harmonic) < n_lines // 2:
-            yield distance, 1.0 if distance == 0 else 0.5 * TAPER[abs(distance)] / TAPER[0], harmonic
+        harmonic, rest = np.divmod(np.asarray(n_cycles) - distance, n_blocks)
+        is_there = (rest == 0) & (np.abs(harmonic) < n_lines // 2)
+        weight = 1.0 if distance == 0 else 0.5 * TAPER[abs(distance)] / TAPER[0]
+        yield distance, np.where(is_there, weight, 0.0), np.where(is_there, harmonic, 0)

@@ -25,7 +25,7 @@ from ..injection import series_tones
 from ..kernels.compiled import each
 from ..lanes import n_tones_of, phasors_of, set_complex
 from ..protocol import Compensation, Conditions, Job, PhasorRun, Phasors, Rating, Record, Source, Trace, Window
-from ..turbine.tone_table import FEWEST, common_period, waveform
+from ..turbine.tone_table import common_period, pays, waveform
 from ..under_way import Clockwork, LanesUnderWay, Places, Rider, in_lanes, of_each, standing
 from .behind_network import Bases, NetworkLanes, bases_of, direct_line, feeding, no_load
 from .equilibrium import References
@@ -165,7 +165,7 @@ class LaneDriven(ABC):
 
         n_tones = max(n_tones_of(job.injection) for job in jobs)
         own = getattr(self.run_phasors, "__func__", None) is LaneDriven.run_phasors  # an heir's is asked instead
-        if not own or n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
+        if not own or pays(n_tones) or any(job.state.source.circuit is not None for job in jobs):
             return None
         columns, clockwork = self._columns(jobs, windows, block_steps, n_tones)
         step, table = self._advance("_compensated" if self._compensated else ""), np.zeros((0, 2, kernel.LANES))

@@ -12,7 +12,7 @@ from ..protocol import Job, Window
 from ..space_vectors import PHASE_PEAK
 from ..under_way import Advance, Clockwork, LanesUnderWay, Places, Rider, of_each
 from .asked import Kind, kinds_of, order_of
-from .tone_table import FEWEST
+from .tone_table import pays
 
 if TYPE_CHECKING:
     from .reference import ReferenceTurbine
@@ -25,7 +25,7 @@ def lanes_under_way(
     from ..kernels import turbine as kernel
 
     n_tones = max(n_tones_of(job.injection) for job in jobs)
-    if n_tones >= FEWEST or any(job.state.source.circuit is not None for job in jobs):
+    if pays(n_tones) or any(job.state.source.circuit is not None for job in jobs):
         return None
     of_jobs = kinds_of(jobs, turbine.parameters)
     kinds = sorted(set(of_jobs), key=order_of)
@@ -41,9 +41,10 @@ def clockwork_of(
     """What turns in the jobs' columns, seen from the dq frame."""
     from ..kernels import turbine as kernel
 
+    of_jobs = of_each(jobs, turbine.tones_of) if n_tones else [[]] * len(jobs)
     riders = [
         Rider(job.state.step, window, window.f_hz - turbine.f1_hz, tones)
-        for job, window, tones in zip(jobs, windows, of_each(jobs, turbine.tones_of), strict=True)
+        for job, window, tones in zip(jobs, windows, of_jobs, strict=True)
     ]
     mean_taper = kernel.TAPER_0 + 0.5 * kernel.TAPER_2
     places = Places(kernel.LINE_RE, kernel.TAPER_RE, kernel.TONES, kernel.N_TONE_SLOTS, mean_taper)

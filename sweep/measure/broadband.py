@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...identify.fourier import rotation
-from ...identify.settling import NOISY_WINDOWS, Settled, first_agreement, steady_mean
+from ...identify.settling import NOISY_WINDOWS, Agreements, Settled, steady_mean
 from ...identify.transient_modes import transients
 from ...plant.protocol import Job, Plant, Record
-from ..excitation.frequencies import Frequency
 from ..excitation.odd_lines import detection_lines
 from ..plan import SETTLE_S, Batch
 from .baseline import Baseline, run
@@ -107,16 +106,23 @@ def _judged(batch: Batch, base: Baseline, heard: Sequence[Periods]) -> Heard:
         v, i = _without_transients(v, i, batch.dt_s)
     spectra = Periods(heard[-1].t0_s, np.fft.fft(v) / v.shape[2], np.fft.fft(i) / i.shape[2])
 
-    limits = batch.limits
+    v, i = _phasors(batch, spectra.v, spectra.t0_s), _phasors(batch, spectra.i, spectra.t0_s)
+    judge = _noisy if base.noisy else _quiet
+    settled = judge(batch, v, i)
+    return Heard(list(zip(settled[::2], settled[1::2], strict=True)), _distortion(batch, spectra.i))
 
-    def judge(v: np.ndarray, i: np.ndarray) -> Settled:
-        return steady_mean(v, i, limits.uncertainty) if base.noisy else first_agreement(v, i, limits.tolerance)
 
-    pairs = []
-    for point in batch.points:
-        v_at, i_at = _phasors(batch, point, spectra)
-        pairs.append((judge(v_at[0], i_at[0]), judge(v_at[1], i_at[1])))
-    return Heard(pairs, _distortion(batch, spectra.i))
+def _noisy(batch: Batch, v: np.ndarray, i: np.ndarray) -> list[Settled]:
+    """The judgement of every experiment from all its periods, (n, n_periods, 2)."""
+    return [steady_mean(*of_one, batch.limits.uncertainty) for of_one in zip(v, i, strict=True)]
+
+
+def _quiet(batch: Batch, v: np.ndarray, i: np.ndarray) -> list[Settled]:
+    """The judgement of every experiment from its last two periods, (n, 2, 2)."""
+    n, n_periods, _ = v.shape
+    last = Agreements(np.ones(n, int), np.full(n, n_periods), np.full(n, batch.limits.tolerance))
+    last.hear(np.arange(n), np.stack([v, i], axis=1), 0)
+    return [last.settled(k) for k in range(n)]
 
 
 def _without_transients(v: np.ndarray, i: np.ndarray, dt_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -127,14 +133,14 @@ def _without_transients(v: np.ndarray, i: np.ndarray, dt_s: float) -> tuple[np.n
     return v_re + 1j * v_im, i_re + 1j * i_im
 
 
-def _phasors(batch: Batch, point: Frequency, spectra: Periods) -> tuple[np.ndarray, np.ndarray]:
-    """Phasors (2, n_periods, 2) of v and i at f and 2 f1 - f, in absolute time."""
-    period_s = point.window_blocks * batch.block.duration_s
-    cycles = point.n_periods - round(batch.f1_hz * period_s)
-    begin = np.exp(-2j * np.pi * ((cycles / period_s * spectra.t0_s) % 1.0))
-    at = np.array([cycles, -cycles])
-    turn = np.array([begin, np.conj(begin)])
-    return spectra.v[:, :, at] * turn, spectra.i[:, :, at] * turn
+def _phasors(batch: Batch, spectra: np.ndarray, t0_s: float) -> np.ndarray:
+    """Phasors (2 n, n_periods, 2) at f and 2 f1 - f of every point, along d and along q, in absolute time."""
+    period_s = batch.points[0].window_blocks * batch.block.duration_s
+    cycles = np.array([point.n_periods for point in batch.points]) - round(batch.f1_hz * period_s)
+    begin = np.exp(-2j * np.pi * ((cycles / period_s * t0_s) % 1.0))
+    at, turn = np.stack([cycles, -cycles], axis=1), np.stack([begin, np.conj(begin)], axis=1)
+    heard = spectra[:, :, at] * turn
+    return heard.transpose(2, 0, 1, 3).reshape(-1, *heard.shape[1::2])
 
 
 def _distortion(batch: Batch, spectra: np.ndarray) -> np.ndarray:
@@ -146,14 +152,11 @@ def _distortion(batch: Batch, spectra: np.ndarray) -> np.ndarray:
     response, _ = _powers(spectra, played)
     distortion, noise = _powers(spectra, silent)
     period_s = batch.points[0].window_blocks * batch.block.duration_s
-    levels = []
-    for point in batch.points:
-        cycles = abs(point.n_periods - round(batch.f1_hz * period_s))
-        near = np.argsort(np.abs(np.log(silent / cycles)), kind="stable")[:NEAR]
-        line = int(np.searchsorted(played, cycles))
-        heard, of_noise = np.mean(distortion[near]), np.mean(noise[near])
-        levels.append(np.sqrt((heard - of_noise) / response[line]) if heard > SIGNIFICANT * of_noise else 0.0)
-    return np.array(levels)
+    cycles = np.abs(np.array([point.n_periods for point in batch.points]) - round(batch.f1_hz * period_s))
+    near = np.argsort(np.abs(np.log(silent / cycles[:, None])), axis=1, kind="stable")[:, :NEAR]
+    heard, of_noise = distortion[near].mean(axis=1), noise[near].mean(axis=1)
+    response = response[np.searchsorted(played, cycles)]
+    return np.sqrt(np.where(heard > SIGNIFICANT * of_noise, (heard - of_noise) / response, 0.0))
 
 
 def _powers(spectra: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -42,7 +42,7 @@ def measure_together(plant: Plant, batches: Sequence[Batch]) -> list[BatchResult
 
     The result of each is the same to the last bit as that of it alone.
     """
-    begun = [_begun(plant, batch) for batch in batches]
+    begun = _begun(plant, batches)
     ready = [base for base in begun if isinstance(base, Begun)]
     rows = iter(_rows(plant, ready) if ready else [])
     return [_result(base, next(rows)) if isinstance(base, Begun) else base for base in begun]
@@ -55,16 +55,38 @@ class Begun(NamedTuple):
     base: Baseline
 
 
-def _begun(plant: Plant, batch: Batch) -> Begun | BatchResult:
-    """The device at the operating point, or the rows that say why it is not there."""
+class Refused(NamedTuple):
+    """Why the device does not stand at an operating point, as rows say it."""
+
+    status: str
+    reason: str
+
+
+def _begun(plant: Plant, batches: Sequence[Batch]) -> list[Begun | BatchResult]:
+    """The device at each batch's operating point, or the rows that say why it is not there.
+
+    Batches of one operating point, whose name no other of the campaign bears, begin from one and the same baseline.
+    """
+    found: dict[str, Baseline | Refused] = {}
+    for batch in batches:
+        if batch.condition.op_id not in found:
+            found[batch.condition.op_id] = _standing(plant, batch)
+    each = [(batch, found[batch.condition.op_id]) for batch in batches]
+    return [
+        Begun(batch, base) if isinstance(base, Baseline) else failed_batch(batch, base.status, base.reason)
+        for batch, base in each
+    ]
+
+
+def _standing(plant: Plant, batch: Batch) -> Baseline | Refused:
     try:
-        return Begun(batch, baseline(plant, batch))
+        return baseline(plant, batch)
     except NotSettled as refusal:
-        return failed_batch(batch, refusal.status, str(refusal))
+        return Refused(refusal.status, str(refusal))
     except Unsettled as drift:
-        return failed_batch(batch, "not_settled", str(drift))
+        return Refused("not_settled", str(drift))
     except Exception as error:
-        return failed_batch(batch, "failed", reason_of(error))
+        return Refused("failed", reason_of(error))
 
 
 def _result(begun: Begun, rows: Sequence[Row]) -> BatchResult:

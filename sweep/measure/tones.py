@@ -146,7 +146,7 @@ def _unperturbed(asked: Sequence[Driven]) -> np.ndarray:
     windows_of = [[shot.window for shot in one.shots] for one in asked]
     different = list(dict.fromkeys(window for of_one in windows_of for window in of_one))
     number = {window: k for k, window in enumerate(different)}
-    heard = np.array([_heard_of(baselines, batch, window) for window in different])
+    heard = _heard_of(baselines, batch, different)
     own = [heard[[number[window] for window in of_one], k] for k, of_one in enumerate(windows_of)]
     return np.ascontiguousarray(np.concatenate(own).transpose(1, 2, 0))
 
@@ -260,22 +260,26 @@ def _listen_noisy_records(
     """Phasors of records less those of the mean baseline: subtracting another noisy branch would double the noise."""
     answers = run(plant, jobs, n_blocks * batch.block.steps)
     return [
-        (state, _less(block_phasors(record, window, batch.block.steps), *_heard_of([baseline], batch, window)))
-        for (state, record), window in zip(answers, listening, strict=True)
+        (state, _less(block_phasors(record, window, batch.block.steps), of_baseline))
+        for (state, record), window, (of_baseline,) in zip(
+            answers, listening, _heard_of([baseline], batch, listening), strict=True
+        )
     ]
 
 
-def _heard_of(baselines: Sequence[Baseline], batch: Batch, window: Window) -> np.ndarray:
-    """What one block of the window hears of baselines (n, 2, 2), v and i: an equal share of what the window hears.
+def _heard_of(baselines: Sequence[Baseline], batch: Batch, listening: Sequence[Window]) -> np.ndarray:
+    """What one block of each window hears of each baseline, v and i at line and mirror, (n_windows, n_baselines, 2, 2):
+    an equal share of what the window hears.
 
     Only whole windows are ever used, so the share of a single block is a matter of bookkeeping.
     """
-    window_s = window.n_blocks * batch.block.duration_s
-    pair = (window.f_hz, 2.0 * batch.f1_hz - window.f_hz)
+    n_blocks, f_hz = (np.array(x) for x in zip(*((window.n_blocks, window.f_hz) for window in listening), strict=True))
+    window_s = n_blocks * batch.block.duration_s
     lines = np.array([[baseline.v, baseline.i] for baseline in baselines])
-    start = np.array([baseline.t0_s for baseline in baselines])[:, None] / window_s
-    heard = [periodic_window(lines, round(f * window_s), window.n_blocks, start) for f in pair]
-    return np.stack(heard, axis=-1) / window.n_blocks
+    start = np.array([baseline.t0_s for baseline in baselines])[:, None, None] / window_s
+    cycles = [np.round(f * window_s).astype(int) for f in (f_hz, 2.0 * batch.f1_hz - f_hz)]
+    heard = np.stack([periodic_window(lines, of_line, n_blocks, start) for of_line in cycles], axis=-1)
+    return heard.transpose(2, 0, 1, 3) / n_blocks[:, None, None, None]
 
 
 def _less(phasors: Phasors, unperturbed: np.ndarray) -> Phasors:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from math import ceil, isfinite
 from statistics import median
@@ -184,10 +185,15 @@ def _in_company(plan: Plan, plant: Plant, batch: Batch, alone: Cost) -> Cost:
     blocks_of = _blocks(batch, alone.rest_s)
     stepping_s = alone.block_s * RUN_BLOCKS * _runs(blocks_of, alone.lanes, TOGETHER)
     begin = time.perf_counter()
-    measure_together(plant, [batch] * TOGETHER)
+    measure_together(plant, [_elsewhere(batch, k) for k in range(TOGETHER)])
     beside_s = time.perf_counter() - begin - stepping_s
     each_s = min(max(0.0, (beside_s - alone.beside_s) / (TOGETHER - 1)), alone.beside_s)
     return alone._replace(round_s=(alone.beside_s - each_s) / _rounds(blocks_of), beside_s=each_s)
+
+
+def _elsewhere(batch: Batch, k: int) -> Batch:
+    """The batch as that of another operating point, which happens to be the same."""
+    return replace(batch, condition=replace(batch.condition, op_id=f"{batch.condition.op_id} {k}"))
 
 
 def _tried(plan: Plan, batches: Sequence[Batch], taken: Sequence[tuple[float, Sequence[Row]]], untried: Cost) -> Cost:

@@ -11,14 +11,15 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from itertools import islice
+from math import ceil
 from typing import Any, NamedTuple, TypeVar
 
 from ...plant.errors import SeqsweepError
-from ...plant.protocol import PhasorPlant, Plant
+from ...plant.protocol import LanePlant, PhasorPlant, Plant
 from ...plant.registry import PlantCard, releases_gil
 from ...plant.states.processes import die_with_parent
 from ..measure.rows import BatchResult
-from ..plan import Batch, Hosting, Plan
+from ..plan import EXPECTED_WINDOWS, Batch, Hosting, Plan
 from .asked import Batches
 from .host import Say, host_at_hand, host_of, silent
 from .spare import end_spares
@@ -33,6 +34,13 @@ of the fewest fill its lanes."""
 
 FEW = 4
 """A thread is to find so many tasks at least, or the last one keeps the others waiting."""
+
+MOST_STEPS = 1e7
+"""Steps of all shots that a thread takes at once where batches are few: about 0.15 s of the reference turbine. Who is
+interrupted, or loses a worker, loses no more."""
+
+LAST_LANES = 4
+"""Lanes that the longest shots of a batch leave idle on an average of their time, when all others are over."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -140,12 +148,11 @@ def _asking(plan: Plan, plant: Plant | PlantCard, workers: Workers, backend: str
     """The workers of a backend, for as long as they are needed."""
     if backend in ("dask", "loky"):
         end_spares()
-    compiled = isinstance(plant, PhasorPlant) and releases_gil(plant)
-    bundles = partial(_bundles, workers.jobs, compiled)
+    bundles = partial(_bundles, workers.jobs, plant)
     if backend == "dask":
         with _dask_client(workers.jobs, workers.scheduler) as client:
             work = partial(_on_worker, plan.hosting)
-            yield lambda batches: _on_cluster(client, work, workers.jobs, _for_cluster(client, compiled, batches))
+            yield lambda batches: _on_cluster(client, work, workers.jobs, _for_cluster(client, plant, batches))
     elif backend == "loky":
         work = partial(_in_process, plan.hosting)
         yield lambda batches: _in_processes(work, workers.jobs, bundles(batches))
@@ -167,19 +174,42 @@ def _named(batches: Sequence[Batch], results: Sequence[BatchResult]) -> list[tup
     return [(batch.key, result) for batch, result in zip(batches, results, strict=True)]
 
 
-def _bundles(jobs: int, compiled: bool, batches: Batches) -> Iterator[list[Batch]]:
+def _bundles(jobs: int, plant: Plant | PlantCard, batches: Batches) -> Iterator[list[Batch]]:
     """What a worker takes at once: of a compiled plant several batches, where enough are left for all workers.
 
-    The last shots of an operating point leave lanes idle; those of several fill them.
+    The last shots of an operating point leave lanes idle; those of several fill them. Where there are too few for
+    that, each worker gets some of about the same work, if the plant is as quick as one that is stepped in lanes.
     """
+    compiled = isinstance(plant, PhasorPlant) and releases_gil(plant)
+    if compiled and isinstance(plant, LanePlant) and len(batches) < TOGETHER * FEW * jobs:
+        yield from _shared_out(jobs, list(batches))
+        return
     n, coming = together(len(batches), jobs) if compiled else 1, iter(batches)
     while bundle := list(islice(coming, n)):
         yield bundle
 
 
-def _for_cluster(client: Any, compiled: bool, batches: Batches) -> Iterator[list[Batch]]:
+def _shared_out(jobs: int, batches: Sequence[Batch]) -> list[list[Batch]]:
+    """As many bundles as there are workers, or a multiple of it, of about the same work, each in the batches' order."""
+    steps = [_steps(batch) for batch in batches]
+    n_bundles = min(jobs * ceil(sum(steps) / (jobs * MOST_STEPS)), len(batches))
+    taken, work = [0] * len(batches), [0.0] * n_bundles
+    for k in sorted(range(len(batches)), key=lambda k: -steps[k]):
+        taken[k] = work.index(min(work))
+        work[taken[k]] += steps[k]
+    return [[batch for batch, into in zip(batches, taken, strict=True) if into == n] for n in range(n_bundles)]
+
+
+def _steps(batch: Batch) -> float:
+    """Steps to expect of all shots of a batch, those of lanes that its longest ones leave idle among them."""
+    blocks = [window.n_blocks for of_point in batch.aims for _, window in of_point]
+    blocks = blocks or [batch.points[0].window_blocks] * len(batch.plays)
+    return EXPECTED_WINDOWS * (sum(blocks) + LAST_LANES * max(blocks)) * batch.block.steps
+
+
+def _for_cluster(client: Any, plant: Plant | PlantCard, batches: Batches) -> Iterator[list[Batch]]:
     """Bundles for the workers that the cluster has at that moment: a named one may have more than ``jobs``."""
-    yield from _bundles(max(1, sum(client.nthreads().values())), compiled, batches)
+    yield from _bundles(max(1, sum(client.nthreads().values())), plant, batches)
 
 
 def together(n_batches: int, jobs: int) -> int:

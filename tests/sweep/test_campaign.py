@@ -62,8 +62,20 @@ def test_bundles_of_batches_give_the_same_bytes(tmp_path, monkeypatch, undisturb
     monkeypatch.setattr(workers, "FEW", 1)
     monkeypatch.setattr(workers, "TOGETHER", 2)
     plan, plant = planned()
-    assert [len(bundle) for bundle in workers._bundles(2, True, list(plan.batches()))] == [4, 4]
+    assert [len(bundle) for bundle in workers._bundles(2, plant, list(plan.batches()))] == [4, 4]
     assert written(tmp_path, plan, plant, jobs=2, backend=backend) == undisturbed
+
+
+def test_few_batches_of_a_quick_plant_are_shared_out_in_about_equal_parts(monkeypatch):
+    plan, plant = planned()
+    batches = list(plan.batches())
+    shared = list(workers._bundles(2, plant, batches))
+    assert sorted(batch.key for bundle in shared for batch in bundle) == sorted(batch.key for batch in batches)
+    less, more = sorted(sum(map(workers._steps, bundle)) for bundle in shared)
+    assert len(shared) == 2
+    assert more - less <= max(map(workers._steps, batches))
+    monkeypatch.setattr(workers, "MOST_STEPS", 1.0)  # as of a plant with tiny steps
+    assert {len(bundle) for bundle in workers._bundles(2, plant, batches)} == {1}
 
 
 @pytest.fixture
