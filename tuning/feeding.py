@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate
-from .siso import Grid
+from .grids.promise import Impedance
 
 ACTIVE = 0.01
 """Part of Y that feeds a wave from which on a device counts as active."""
@@ -46,7 +46,7 @@ class Hole(NamedTuple):
     doubt_from_hz: float
 
 
-def hole_of(model: RationalModel, grid: Grid, loop_poles: np.ndarray) -> Hole:
+def hole_of(model: RationalModel, grid: Impedance, loop_poles: np.ndarray) -> Hole:
     """What is known of the hole around f1, from the fit: where it feeds nothing, nothing has to be known."""
     lowest = float(model.nu_hz[0])
     inside = np.concatenate([model.poles, loop_poles])

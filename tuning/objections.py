@@ -14,6 +14,7 @@ from ..identify.uncertainty import NORMAL_95
 from . import near_f1
 from .anchor import Anchor, OpenMode
 from .feeding import ACTIVE, LOUD, activity, is_fed
+from .grids.promise import Impedance
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, is_swept, unstable_on
 from .probability import DECIDED, DECIDED_AT, Doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
@@ -170,14 +171,21 @@ def _open_end(case: Case) -> str:
     """Above the band a loop that is active and whose gain is above one may do anything."""
     if not case.stable:
         return ""
-    end = case.model.nu_hz[-1]
-    if _active_at_end(case.model, case.grid):
-        return (
-            f"the sweep ends at |f - f1| = {end:.4g} Hz, where the device is still active and the loop gain above one: "
-            "sweep to higher frequencies"
-        )
+    still_active = said_of_end(case.model, case.grid)
+    if still_active:
+        return still_active
     mode = _mode_above(case)
     return "" if mode is None else f"a mode at {mode}, above the swept band, may be unstable: sweep there"
+
+
+def said_of_end(model: RationalModel, grid: Impedance) -> str:
+    """What withholds a stable verdict at the end of the rows of a device; empty where it cannot oscillate beyond."""
+    if not _active_at_end(model, grid):
+        return ""
+    return (
+        f"the sweep ends at |f - f1| = {model.nu_hz[-1]:.4g} Hz, where the device is still active and the loop gain "
+        "above one: sweep to higher frequencies"
+    )
 
 
 def _mode_above(case: Case) -> str | None:
@@ -253,23 +261,31 @@ def _left_out_row_denies(case: Case) -> str:
 
 def _may_hide(case: Case) -> str:
     """A mode narrower than the distance of the rows would make the loop unstable."""
-    if case.hidden is None or not case.hidden.is_shown:
+    return said_of_hidden(case.model, case.hidden)
+
+
+def said_of_hidden(model: RationalModel, hidden: Unseen | None) -> str:
+    """What a mode between the rows of a device withholds; empty where they exclude it, or do not ask for it."""
+    if hidden is None or not hidden.is_shown:
         return ""
-    place = _place(case.model, case.hidden.nu_hz)
-    what = "do not exclude" if case.hidden.in_gap else "ask for"
+    what = "do not exclude" if hidden.in_gap else "ask for"
     return (
-        f"the rows around {place} {what} a mode narrower than their distance, which would make the loop unstable: "
-        "measure more points there"
+        f"the rows around {_place(model, hidden.nu_hz)} {what} a mode narrower than their distance, which would make "
+        "the loop unstable: measure more points there"
     )
 
 
 def _may_grow(case: Case) -> str:
     """A slow mode of the device's own that the disturbed runs leave open, and the rows too."""
-    mode, anchor = case.still_open, case.anchor
-    if mode is None or anchor is None or mode.decays >= DECIDED:
+    return "" if case.anchor is None else said_of_open(case.model, case.anchor, case.still_open)
+
+
+def said_of_open(model: RationalModel, anchor: Anchor, mode: OpenMode | None) -> str:
+    """What a slow mode of a device's own withholds that may as well grow; empty where it surely decays."""
+    if mode is None or mode.decays >= DECIDED:
         return ""
     return (
-        f"the device's own mode at {_place(case.model, abs(mode.pole.imag) / (2.0 * np.pi))} grows by "
+        f"the device's own mode at {_place(model, abs(mode.pole.imag) / (2.0 * np.pi))} grows by "
         f"{mode.pole.real:.2g} +- {NORMAL_95 * mode.std_per_s:.2g} 1/s (below zero it decays), so that it may as well "
         f"grow: the runs on {anchor.where} exclude only what grows faster than {anchor.growth_bound_per_s:.2g} 1/s. "
         "Longer runs, or more points near it, would tell"
@@ -279,10 +295,15 @@ def _may_grow(case: Case) -> str:
 def _may_have_been_held(case: Case) -> str:
     """The grid on which the device rested may have held a mode of its own that no row comes near and a stiffer grid
     lets go."""
-    anchor, lowest = case.anchor, float(case.model.nu_hz[0])
-    if not case.stable or anchor is None or anchor.grid is None or lowest <= _SLOW_LOOPS_HZ:
+    if not case.stable or case.anchor is None:
         return ""
-    if abs(case.grid.at_f1) > _THE_SAME * abs(anchor.grid.at_f1):
+    return said_of_held(case.model, case.anchor, abs(case.grid.at_f1))
+
+
+def said_of_held(model: RationalModel, anchor: Anchor, size_ohm: float) -> str:
+    """The same of a device on whatever shows it an impedance of that size at f1."""
+    lowest = float(model.nu_hz[0])
+    if anchor.grid is None or lowest <= _SLOW_LOOPS_HZ or size_ohm > _THE_SAME * abs(anchor.grid.at_f1):
         return ""
     return (
         f"the device was seen to be stable on {anchor.where}, which may have held a mode that grows by itself on a "
@@ -308,7 +329,9 @@ def _unswept(case: Case) -> str:
     if hidden:
         return hidden
     unseen = [k for k in decisive if not _is_known(case, complex(loop.poles[k]))]
-    unseen = [k for k in unseen if loop.poles[k].real > 0.0 or _is_fed(case, float(loop.f_hz[k]))]
+    unseen = [
+        k for k in unseen if loop.poles[k].real > 0.0 or is_fed_around(case.model, case.grid, float(loop.f_hz[k]))
+    ]
     if not unseen or (not case.stable and len(unseen) < len(decisive)) or _is_the_devices_own(case):
         return ""
     return (
@@ -402,15 +425,15 @@ def _decisive(case: Case) -> list[int]:
     return sorted({*light, *([] if loop.leading is None else [loop.leading])})
 
 
-def _is_fed(case: Case, nu_hz: float) -> bool:
+def is_fed_around(model: RationalModel, grid: Impedance, nu_hz: float) -> bool:
     """Whether an oscillation could be fed in the gap between rows that holds ``nu_hz``."""
-    rows = np.concatenate([[0.0], case.model.nu_hz, [EDGE * nu_hz]])
+    rows = np.concatenate([[0.0], model.nu_hz, [EDGE * nu_hz]])
     above = int(np.clip(np.searchsorted(rows, nu_hz), 1, len(rows) - 1))
     s = 2j * np.pi * np.linspace(rows[above - 1], rows[above], 9)
-    return is_fed(evaluate(case.model, s), case.grid.impedance_dq(s))
+    return is_fed(evaluate(model, s), grid.impedance_dq(s))
 
 
-def _active_at_end(model: RationalModel, grid: Grid) -> bool:
+def _active_at_end(model: RationalModel, grid: Impedance) -> bool:
     """Whether the device may still bring a loop to oscillate above the swept band: not passive, gain above one.
 
     Unless the loop gain turns so slowly, as by the delay of half a step, that -1 is many times the band away.

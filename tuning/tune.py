@@ -14,9 +14,9 @@ from ..identify.fit.dq_data import to_dq
 from ..identify.fit.model import MIN_POINTS, fit_rows
 from ..identify.fit.rational import RationalModel, evaluate_pn
 from ..identify.response import FrequencyResponse
-from ..identify.uncertainty import relative_uncertainty
 from ..plant.errors import SeqsweepError, place_of
-from .anchor import Anchor, anchor_of, open_mode, recounted
+from .anchor import Anchor, anchor_of, recounted
+from .basis import basis_of
 from .gain import FirstGain, first_gain
 from .grid_check import check_belongs, grid_warnings
 from .grids.in_time import grid_of_fact
@@ -24,15 +24,12 @@ from .intervals import margin_interval, scale_interval
 from .margins import StableRange, critical_scr, locus_margins, participation, passivity, stable_range
 from .poles import unstable_on
 from .result import PointTuning, TuningResult
-from .rows import Rows, believed, misfits, rows_of
+from .rows import Rows, misfits, rows_of
 from .siso import Grid, check_fundamental
 from .verdict import Stability, judge, swept_band
 
 if TYPE_CHECKING:
     from ..identify.table.read import Table
-
-MAX_MISFIT = 0.03
-"""Median relative misfit beyond which a fit is not believed."""
 
 _FAR_BETTER = 0.5  # part of the median misfit that is left
 
@@ -149,11 +146,7 @@ def fitted(response: FrequencyResponse, proved: Anchor | None = None) -> Device:
     rows = rows_of(to_dq(response))
     anchor = anchor_of(response.meta, rows, response.f1_hz) if proved is None else proved
     anchor, model = _anchored(rows, anchor, response.f1_hz)
-    misfit = float(np.median(misfits(rows.data, model)))
-    bad = misfit > acceptable_misfit(response)
-    problem = f"no rational model describes the table: its median misfit is {misfit:.1%}" if bad else ""
-    kept = believed(rows, model)
-    return Device(response, kept, replace(anchor, still_open=open_mode(model, anchor, kept)), model, problem)
+    return Device(response, model=model, **basis_of(response, rows, anchor, model)._asdict())
 
 
 def _anchored(rows: Rows, anchor: Anchor, f1_hz: float) -> tuple[Anchor, RationalModel]:
@@ -337,13 +330,6 @@ def _bands(response: FrequencyResponse, rows: np.ndarray) -> str:
         (float(response.f_hz[a]), float(response.f_hz[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)
     ]
     return ", ".join(f"{low:g} to {high:g} Hz" if high > low else f"{low:g} Hz" for low, high in ends)
-
-
-def acceptable_misfit(response: FrequencyResponse) -> float:
-    """`MAX_MISFIT`, or twice what the rows themselves say of their errors."""
-    stated = relative_uncertainty(response)[response.usable]
-    stated = stated[np.isfinite(stated)]
-    return max(MAX_MISFIT, 2.0 * float(np.median(stated))) if len(stated) else MAX_MISFIT
 
 
 def _opened(table: Table | Sequence[FrequencyResponse]) -> tuple[Sequence[FrequencyResponse], Mapping[str, Any]]:

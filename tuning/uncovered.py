@@ -14,14 +14,18 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate
 from .feeding import ACTIVE, LOUD, activity
+from .grids.promise import Impedance
 from .poles import ClosedLoop, is_swept, mode_weight
 from .rows import Rows
 from .siso import Grid
-from .unseen import DENSE, Unseen, mutual_impedance
+from .unseen import DENSE, Unseen, mutual_impedance, unseen
 
 ALLOWANCE = 0.005
 """How likely a verdict is wrong for what its rows cannot show: a judgement. Counted: 18 of 2,494 verdicts on tables
 that do not cover the question, all but one for modes that no row shows at all (docs/how-often-wrong.md)."""
+
+KEPT = 3e-3
+"""Part of itself by which Y of a device may differ on another grid, as that of a sampled one does."""
 
 _QUIET = 0.2  # loop gain below which an active device makes no loop oscillate, whatever its phase, with some to spare
 _FAINT = 0.1  # loop gain of all rows below which a mode between them matters only if it is ten times what they show
@@ -29,7 +33,6 @@ _NEAR_HZ = 2.0  # rows that begin no further from f1 leave room for slow modes o
 _FAR_HZ = 5.0  # rows that begin further away leave room for the loops of power, synchronisation and voltage
 _REACH_HZ = 500.0  # below this a converter's control and filter have modes, whatever it is where the rows end
 _SPARE = 3  # rows for each pole from which on a fit would need a further one for what a gap hides
-_KEPT = 3e-3  # part of itself by which Y of a device may differ on another grid, as that of a sampled one does
 _SURELY = 4.0  # standard errors of its real part from which on an unstable mode is there
 _BETWEEN = np.linspace(0.0, 1.0, 9)  # places in a gap
 
@@ -43,8 +46,8 @@ class Seen(NamedTuple):
         The fit, and its poles on the grid that is judged.
     rows : Rows
         The rows.
-    grids : sequence of Grid
-        That grid and, if there is one, the grid on which the device was seen to be stable.
+    grids : sequence of Impedance
+        What the device is connected to and, if there is one, the grid on which the device was seen to be stable.
     by_rows : int or None
         Unstable modes as the rows count them.
     crowded : (n,) bool
@@ -54,19 +57,30 @@ class Seen(NamedTuple):
     model: RationalModel
     loop: ClosedLoop
     rows: Rows
-    grids: Sequence[Grid]
+    grids: Sequence[Impedance]
     by_rows: int | None
     crowded: np.ndarray
 
 
-def uncovered(seen: Seen, stable: bool) -> str:
-    """Why rows do not cover the question, and what to measure; empty where they do.
+def asked_if_stable(seen: Seen) -> tuple[Unseen | None, str]:
+    """What may hide between the rows of a loop that the fit calls stable, and why that verdict is not certain."""
+    hidden = unseen(seen.model, seen.rows.data, seen.grids, seen.crowded)
+    faint = passed_over(seen, hidden)
+    return (None if faint else hidden), uncovered_stable(seen) or faint
 
-    A stable verdict may be wrong wherever a mode can hide, and next to the edge. An unstable one is proven by a mode
-    that surely grows and that rows surround.
+
+def uncovered_stable(seen: Seen) -> str:
+    """Why rows do not cover the question whether a loop is stable, and what to measure; empty where they do.
+
+    A stable verdict may be wrong wherever a mode can hide, and next to the edge.
     """
-    questions = (_ends_early, _begins_far, _leaves_gaps, _tells_no_more, _is_near) if stable else (_is_vague,)
-    return next((why for why in (ask(seen) for ask in (*questions, _is_counted_twice)) if why), "")
+    questions = (_ends_early, _begins_far, _leaves_gaps, _tells_no_more, _is_near, _is_counted_twice)
+    return next((why for why in (ask(seen) for ask in questions) if why), "")
+
+
+def uncovered_unstable(seen: Seen, grid: Grid) -> str:
+    """The same of an unstable loop, which is proven by a mode that surely grows and that rows surround."""
+    return _is_vague(seen, grid) or _is_counted_twice(seen)
 
 
 def passed_over(seen: Seen, hidden: Unseen | None) -> str:
@@ -162,24 +176,24 @@ def _is_near(seen: Seen) -> str:
     s = 2j * np.pi * nu_hz
     nearness = mutual_impedance(model, grid, s) * np.linalg.norm(evaluate(model, s), 2, axis=(1, 2))
     nearest = int(np.argmax(nearness))
-    if nearness[nearest] * _KEPT < 1.0:
+    if nearness[nearest] * KEPT < 1.0:
         return ""
     place = f"{model.f1_hz - nu_hz[nearest]:.4g}/{model.f1_hz + nu_hz[nearest]:.4g} Hz"
     return f"a change of Y by {1.0 / nearness[nearest]:.1g} of itself at {place} decides: sweep it on this very grid"
 
 
-def _is_vague(seen: Seen) -> str:
+def _is_vague(seen: Seen, grid: Grid) -> str:
     """No unstable mode that rows surround surely grows."""
     loop = seen.loop
     surely = np.flatnonzero((loop.poles.real > _SURELY * loop.std.real) & ~loop.beyond)
     poles = loop.poles[[k for k in surely if is_swept(seen.model, complex(loop.poles[k]))]]
     if not len(poles):
         return "no rows surround an unstable mode that surely grows: sweep more points around it"
-    weight = np.linalg.norm(mode_weight(seen.model, seen.grids[0], poles), axis=(1, 2))
-    moved = _KEPT * weight * np.linalg.norm(evaluate(seen.model, 1j * poles.imag), 2, axis=(1, 2))
+    weight = np.linalg.norm(mode_weight(seen.model, grid, poles), axis=(1, 2))
+    moved = KEPT * weight * np.linalg.norm(evaluate(seen.model, 1j * poles.imag), 2, axis=(1, 2))
     if np.any(poles.real > moved):
         return ""
-    return f"a change of Y by less than {_KEPT:.1%} of itself stops the growth: sweep it on this very grid"
+    return f"a change of Y by less than {KEPT:.1%} of itself stops the growth: sweep it on this very grid"
 
 
 def _is_counted_twice(seen: Seen) -> str:

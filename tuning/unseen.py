@@ -25,7 +25,7 @@ import numpy as np
 from ..identify.fit.dq_data import ELEMENTS, DqData
 from ..identify.fit.order import LASTING, NARROWEST
 from ..identify.fit.rational import RationalModel, evaluate, row_slopes
-from .siso import Grid
+from .grids.promise import Impedance
 
 SHOWN = 24.0
 """Evidence from which on the rows ask for a mode: noise on eight numbers a row hardly ever does."""
@@ -108,7 +108,7 @@ class _Left(NamedTuple):
     cost: float
 
 
-def unseen(model: RationalModel, data: DqData, grids: Sequence[Grid], crowded: np.ndarray) -> Unseen | None:
+def unseen(model: RationalModel, data: DqData, grids: Sequence[Impedance], crowded: np.ndarray) -> Unseen | None:
     """The worst mode that may hide between the rows of ``data``; None where all are excluded at a glance.
 
     ``grids`` are the one that is judged and, if there is one, the one on which the device was seen to be stable.
@@ -129,14 +129,14 @@ def unseen(model: RationalModel, data: DqData, grids: Sequence[Grid], crowded: n
     return max(found, key=lambda one: one.excess)
 
 
-def overruled(model: RationalModel, left_out: DqData, grid: Grid) -> float | None:
+def overruled(model: RationalModel, left_out: DqData, grid: Impedance) -> float | None:
     """|f - f1| (Hz) of a row left out that would change the verdict if it were right; None if there is none."""
     s = 2j * np.pi * left_out.nu_hz
     moved = np.linalg.norm(left_out.y - evaluate(model, s), 2, axis=(1, 2)) * mutual_impedance(model, grid, s)
     return float(left_out.nu_hz[np.argmax(moved)]) if np.any(moved > 1.0) else None
 
 
-def _places(model: RationalModel, grids: Sequence[Grid]) -> _Places:
+def _places(model: RationalModel, grids: Sequence[Impedance]) -> _Places:
     """Where modes may hide: between rows that are further apart than such a mode is wide."""
     edges = np.append(0.0, model.nu_hz)
     nu = edges[:-1, None] + np.diff(edges)[:, None] * _PLACES
@@ -152,7 +152,7 @@ def _places(model: RationalModel, grids: Sequence[Grid]) -> _Places:
     return _Places(nu[hides], -width + 1j * w, width / shown, in_gap[hides], around[hides])
 
 
-def mutual_impedance(model: RationalModel, grid: Grid, s: np.ndarray) -> np.ndarray:
+def mutual_impedance(model: RationalModel, grid: Impedance, s: np.ndarray) -> np.ndarray:
     """|(Y + Yg)^-1| (n,): the impedance (ohm) that device and grid show each other."""
     return _largest(_mutual(model, grid, s))
 

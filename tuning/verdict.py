@@ -19,8 +19,7 @@ from .poles import LIGHT, ClosedLoop, closed_loop, crowded
 from .probability import doubt
 from .rows import Rows, wind_rows
 from .siso import Grid, check_fundamental, impedance_pn, siso
-from .uncovered import Seen, passed_over, stated, uncovered
-from .unseen import unseen
+from .uncovered import Seen, asked_if_stable, stated, uncovered_unstable
 from .winding import Winding, about, refine_locus, wind
 
 _PLACED = 0.03  # a well damped mode is named if its place is known to this part of itself
@@ -113,11 +112,8 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
     seen_on = () if anchor is None or anchor.grid is None else (anchor.grid,)
     hidden, why = None, ""
     if rows is not None:
-        filled = crowded(model, loop.hole)
-        hidden = unseen(model, rows.data, (grid, *seen_on), filled) if stable else None
-        seen = Seen(model, loop, rows, (grid, *seen_on), by_rows, filled)
-        faint = passed_over(seen, hidden)
-        hidden, why = (None if faint else hidden), uncovered(seen, stable) or faint
+        seen = Seen(model, loop, rows, (grid, *seen_on), by_rows, crowded(model, loop.hole))
+        hidden, why = asked_if_stable(seen) if stable else (None, uncovered_unstable(seen, grid))
     still_open = anchor.still_open if stable and anchor is not None else None
     ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
     probability = min(doubtful.probability, 1.0 if still_open is None else still_open.decays)

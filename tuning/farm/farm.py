@@ -56,18 +56,23 @@ class Farm:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Devices whose terminal voltage is not that of their sweep, in one sentence."""
-        off = {unit.name: 100.0 * unit.off for unit in self.units if abs(unit.off) > FAR}
-        if not off:
-            return ()
-        worst = sorted(off, key=lambda name: -abs(off[name]))
-        named = ", ".join(f"{name} {off[name]:+.1f} %" for name in worst[:_NAMED])
-        more = f" and {len(off) - _NAMED} more" if len(off) > _NAMED else ""
-        advice = "sweep it there" if len(off) == 1 else "sweep them there"
-        return (
-            f"terminal voltages that are not those of the sweeps: {named}{more}; {advice}, or give active_power_mw and "
-            "a table over several voltages",
-        )
+        """Devices whose terminal voltage is not that of their sweep, and why the verdict is not certain."""
+        return (*_off_sweep(self.units), *self.judgement.remarks)
+
+
+def _off_sweep(units: Sequence[Unit]) -> tuple[str, ...]:
+    """Devices whose terminal voltage is not that of their sweep, in one sentence."""
+    off = {unit.name: 100.0 * unit.off for unit in units if abs(unit.off) > FAR}
+    if not off:
+        return ()
+    worst = sorted(off, key=lambda name: -abs(off[name]))
+    named = ", ".join(f"{name} {off[name]:+.1f} %" for name in worst[:_NAMED])
+    more = f" and {len(off) - _NAMED} more" if len(off) > _NAMED else ""
+    advice = "sweep it there" if len(off) == 1 else "sweep them there"
+    return (
+        f"terminal voltages that are not those of the sweeps: {named}{more}; {advice}, or give active_power_mw and "
+        "a table over several voltages",
+    )
 
 
 def judged(entry: FarmEntry, read: ReadTable | Library) -> Farm:

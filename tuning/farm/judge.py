@@ -10,16 +10,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import erfc, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from ..objections import Decision
 from ..poles import BEYOND, EDGE, RESONANCE_DAMPING, RESONANCE_FROM_HZ
 from ..probability import DECIDED
+from ..uncovered import stated
 from .doubt import doubt_of
 from .locus import follow, unstable_by
 from .participation import ModeParts, parts_of
 from .system import System
+from .unshown import of_stable, of_unstable
 
 BESIDE = 0.1
 """A stable mode nearer to a device's own pole than this part of its width is told last."""
@@ -39,7 +42,8 @@ class FarmVerdict:
     reason : str
         Why, in one sentence.
     probability : float or None
-        Probability of being stable; None where it is not known.
+        Probability of being stable; None where it is not known; never certain where the rows of a device do not cover
+        the question.
     n_unstable_locus : int or None
         Unstable modes by the locus; None if it could not be followed, or a device's own modes are not known.
     n_unstable_poles : int
@@ -53,6 +57,8 @@ class FarmVerdict:
         |f - f1| from zero on where the determinant was looked at (Hz).
     turns : (n,) float
         Counter-clockwise turns of its half axis up to there.
+    uncovered : str
+        Why the verdict is not certain, however small the errors; empty where it may be.
     """
 
     verdict: Decision
@@ -64,6 +70,13 @@ class FarmVerdict:
     in_band: np.ndarray
     turns_hz: np.ndarray
     turns: np.ndarray
+    uncovered: str = ""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the reader should know of the verdict besides its reason."""
+        why = self.uncovered
+        return (f"{self.verdict}, but not certain, however small the errors: {why}",) if why else ()
 
     @property
     def critical(self) -> ModeParts | None:
@@ -80,8 +93,19 @@ def judge_farm(system: System) -> FarmVerdict:
     by_locus = unstable_by(system, locus)
     in_band = _in_band(system, believed)
     modes = tuple(parts_of(system, pole) for pole in _told(system, in_band))
-    verdict, reason, probability = _decided(system, by_locus, by_poles, modes)
-    return FarmVerdict(verdict, reason, probability, by_locus, by_poles, modes, in_band, locus.nu_hz, locus.turns)
+    said = _decided(system, believed, by_locus, modes)
+    return FarmVerdict(
+        said.verdict,
+        said.reason,
+        said.probability,
+        by_locus,
+        by_poles,
+        modes,
+        in_band,
+        locus.nu_hz,
+        locus.turns,
+        said.uncovered,
+    )
 
 
 def _in_band(system: System, poles: np.ndarray) -> np.ndarray:
@@ -108,31 +132,48 @@ def _told(system: System, chosen: np.ndarray) -> list[complex]:
     return [complex(pole) for pole in chosen[kept]]
 
 
-def _decided(
-    system: System, by_locus: int | None, by_poles: int, modes: tuple[ModeParts, ...]
-) -> tuple[Decision, str, float | None]:
+class _Said(NamedTuple):
+    verdict: Decision
+    reason: str
+    probability: float | None = None
+    uncovered: str = ""
+
+
+def _decided(system: System, poles: np.ndarray, by_locus: int | None, modes: tuple[ModeParts, ...]) -> _Said:
+    """The verdict; ``poles`` are the believed ones of the farm."""
+    by_poles = int(np.sum(poles.real > 0.0))
+    objection = _objection(system, by_locus, by_poles, modes)
+    if objection:
+        return _Said("undecided", objection)
+    probability = _probability(modes)
+    if 1.0 - DECIDED < probability < DECIDED:
+        return _Said("undecided", f"the data leave it open: {_where(system, modes)}", probability)
+    unshown = of_unstable(system, modes) if by_poles else of_stable(system, poles, modes)
+    probability = stated(min(probability, unshown.sure), unshown.uncovered or unshown.withheld)
+    if unshown.withheld:
+        return _Said("undecided", unshown.withheld, probability)
+    if by_poles:
+        text = f"{by_poles} unstable modes, by locus and by poles"
+        return _Said("unstable", text, probability, unshown.uncovered)
+    return _Said("stable", "no unstable mode, by locus and by poles", probability, unshown.uncovered)
+
+
+def _objection(system: System, by_locus: int | None, by_poles: int, modes: tuple[ModeParts, ...]) -> str:
+    """Why nothing is counted at all; empty where locus and poles agree."""
+    problems = sorted(
+        {f"{unit.key}: {unit.basis.problem}" for unit in system.units if unit.basis and unit.basis.problem}
+    )
+    if problems:
+        return problems[0]
     open_units = sorted({unit.key for unit in system.units if unit.n_unstable is None})
     if open_units:
         text = f"nothing proves whether the device of {open_units[0]} is stable by itself: sweep it again, or import it"
-        return "undecided", f"{text} with --stable-on", None
+        return f"{text} with --stable-on"
     if by_locus is None:
-        return (
-            "undecided",
-            "the locus turns faster than it can be followed: measure the lightly damped modes closer",
-            None,
-        )
+        return "the locus turns faster than it can be followed: measure the lightly damped modes closer"
     if by_locus < 0 or by_locus != by_poles:
-        return (
-            "undecided",
-            f"the locus says {by_locus} unstable modes, the poles say {by_poles}: {_where(system, modes)}",
-            None,
-        )
-    probability = _probability(modes)
-    if max(probability, 1.0 - probability) < DECIDED:
-        return "undecided", f"the data leave it open: {_where(system, modes)}", probability
-    if by_poles:
-        return "unstable", f"{by_poles} unstable modes, by locus and by poles", probability
-    return "stable", "no unstable mode, by locus and by poles", probability
+        return f"the locus says {by_locus} unstable modes, the poles say {by_poles}: {_where(system, modes)}"
+    return ""
 
 
 def _where(system: System, modes: tuple[ModeParts, ...]) -> str:

@@ -22,7 +22,7 @@ from .entries import DeviceEntry, FarmEntry, FarmError
 from .farm import Farm, judged, judged_with
 from .loadflow import LoadFlow
 from .participation import moved_by, null_vectors
-from .units import Library, Unit, fitted, flow_of
+from .units import Fit, Library, Unit, fitted, flow_of
 
 STEP_K = 0.02
 """Gain by which a device is swept again for the slope."""
@@ -87,7 +87,7 @@ class GainLever:
     k_max: float = 2.0
     what: str = "damping gain k"
     unit: str = ""
-    _models: dict[tuple[str, float], tuple[RationalModel, int | None]] = field(default_factory=dict)
+    _fits: dict[tuple[str, float], Fit] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -113,18 +113,19 @@ class GainLever:
         low, high = (0.0, STEP_K) if k < STEP_K else (k - STEP_K, k)
         if k >= STEP_K and k < self.k_max - STEP_K:
             high = k + STEP_K
-        ends = [evaluate(self._model(unit, value)[0], np.array([s]))[0] for value in (low, high)]
+        ends = [evaluate(self._fit(unit, value).model, np.array([s]))[0] for value in (low, high)]
         return unit.factor * unit.turn @ ((ends[1] - ends[0]) / (high - low)) @ unit.turn.T
 
     def _unit(self, unit: Unit, k: float) -> Unit:
-        model, n_unstable = self._model(unit, k)
-        return replace(unit, model=model, n_unstable=n_unstable, key=f"{unit.key}, k = {k:.4g}")
+        model, basis = self._fit(unit, k)
+        n_unstable = basis.anchor.n_unstable
+        return replace(unit, model=model, n_unstable=n_unstable, basis=basis, key=f"{unit.key}, k = {k:.4g}")
 
-    def _model(self, unit: Unit, k: float) -> tuple[RationalModel, int | None]:
+    def _fit(self, unit: Unit, k: float) -> Fit:
         key = (unit.key.split(", k = ")[0], round(k, 6))
-        if key not in self._models:
-            self._models[key] = fitted(self.resweep(unit, key[1]))
-        return self._models[key]
+        if key not in self._fits:
+            self._fits[key] = fitted(self.resweep(unit, key[1]))
+        return self._fits[key]
 
 
 # Less power ----------------------------------------------------------------------------------------------------------

@@ -146,6 +146,29 @@ def reduced(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair], with_ways: b
     return Reduced(y[tree.root], left, right)
 
 
+def seen_at_nodes(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair]) -> dict[str, Pair]:
+    """Admittance (S) of the whole at every node, its own devices included, as a further one there would see it.
+
+    What a farther node sees through a branch of the rest Y_r is b^2 Y_r (z Y_r + a^2)^-1.
+    """
+    y = _at_nodes(tree, s, devices)
+    impedances = {step.far: _sequences(tree, step.branch, s, _impedance) for step in tree.steps}
+    parts: dict[str, Pair] = {}
+    for step in reversed(tree.steps):
+        behind = y[step.far]
+        parts[step.far] = _through(impedances[step.far], behind, step.b, step.a)
+        y[step.near] = plus(y[step.near], parts[step.far])
+    for step in tree.steps:
+        rest = plus(y[step.near], scaled(-1.0, parts[step.far]))
+        y[step.far] = plus(y[step.far], _through(impedances[step.far], rest, step.a, step.b))
+    return y
+
+
+def _through(z: Sequences, y: Pair, own: float, other: float) -> Pair:
+    """What the other end of a branch sees of ``y`` at an end that is connected to it with the multiple ``own``."""
+    return scaled(other**2, product(y, inverse(_factor(z, y, own))))
+
+
 def factors(tree: Tree, s: np.ndarray, devices: Mapping[str, Pair]) -> list[Pair]:
     """z Y + b^2 of every branch, and what stands at the root, each of (n,).
 

@@ -22,8 +22,9 @@ from ...identify.surrogate.store import surrogate_of
 from ...identify.surrogate.surrogate import Surrogate
 from ...identify.table.read import Table
 from ...plant.errors import nearest
-from ..anchor import anchor_of
-from ..rows import rows_of
+from ..anchor import Anchor, anchor_of
+from ..basis import Basis, basis_of
+from ..rows import Rows, rows_of
 from .entries import DeviceEntry, FarmEntry, FarmError
 from .loadflow import Draw, LoadFlow, load_flow
 
@@ -48,7 +49,8 @@ class Library:
     def __init__(self, read: ReadTable):
         self.table: ReadTable = cache(read)
         self._surrogates: dict[str, Surrogate] = {}
-        self._anchors: dict[str, int | None] = {}
+        self._proofs: dict[str, tuple[Rows, Anchor]] = {}
+        self._bases: dict[str, Basis] = {}
         self._pool = Pool()
 
     def surrogate(self, name: str) -> Surrogate:
@@ -57,27 +59,39 @@ class Library:
             self._surrogates[name] = surrogate_of(self.table(name))
         return self._surrogates[name]
 
-    def fitted(self, responses: Mapping[str, FrequencyResponse]) -> dict[str, tuple[RationalModel, int | None]]:
-        """Models of the responses of one farm, and how many unstable modes each device has by itself, or None.
+    def fitted(self, responses: Mapping[str, FrequencyResponse]) -> dict[str, Fit]:
+        """Models of the responses of one farm, and what they rest on.
 
         Rows that were measured are fitted together, as noise that hides a mode in one table does not in many; what a
         surrogate predicts has no noise that could be averaged.
         """
         for key, response in responses.items():
-            if key not in self._anchors:
-                self._anchors[key] = own_unstable(response)
-        wanted = {key: Wanted(response, self._anchors[key]) for key, response in responses.items()}
+            if key not in self._proofs:
+                self._proofs[key] = _proof(response)
+        wanted = {key: Wanted(response, self._proofs[key][1].n_unstable) for key, response in responses.items()}
         measured = {key: each for key, each in wanted.items() if not each.response.meta.get("surrogate")}
         models = self._pool.models(measured)
         for key, each in wanted.items():
             if key not in measured:
                 models |= self._pool.models({key: each})
-        return {key: (models[key], self._anchors[key]) for key in responses}
+        return {key: Fit(models[key], self._basis(key, response, models[key])) for key, response in responses.items()}
+
+    def _basis(self, key: str, response: FrequencyResponse, model: RationalModel) -> Basis:
+        if key not in self._bases:
+            self._bases[key] = basis_of(response, *self._proofs[key], model)
+        return self._bases[key]
 
 
 def library_of(read: ReadTable | Library) -> Library:
     """A library as it is, or one that reads with ``read``."""
     return read if isinstance(read, Library) else Library(read)
+
+
+class Fit(NamedTuple):
+    """Model of a device and what it rests on."""
+
+    model: RationalModel
+    basis: Basis
 
 
 class Source(NamedTuple):
@@ -121,6 +135,8 @@ class Unit:
         By what part its terminal voltage differs from that of the sweep; NaN where the table does not say.
     rated_va : float
         Its rated power (VA), all parallel ones together; NaN where the table does not say.
+    basis : Basis or None
+        What its judgement rests on; None where Y is known by formula, as that of a grid-side damper.
     """
 
     name: str
@@ -137,6 +153,7 @@ class Unit:
     power_va: complex
     off: float
     rated_va: float
+    basis: Basis | None = None
 
     @property
     def turn(self) -> np.ndarray:
@@ -191,7 +208,7 @@ def sources_of(farm: FarmEntry, library: Library) -> list[Source]:
 
 
 def _unit(
-    fits: Mapping[str, tuple[RationalModel, int | None]],
+    fits: Mapping[str, Fit],
     entry: DeviceEntry,
     source: Source,
     there: tuple[FrequencyResponse, str],
@@ -199,22 +216,23 @@ def _unit(
     power_va: complex,
 ) -> Unit:
     response, key = there
-    model, n_unstable = fits[key]
+    fit = fits[key]
     return Unit(
         name=entry.name,
         bus=entry.bus,
         table=entry.table,
         key=key,
         setpoint=_setpoint(response),
-        model=model,
+        model=fit.model,
         factor=entry.factor,
         count=entry.count,
-        n_unstable=n_unstable,
+        n_unstable=fit.basis.anchor.n_unstable,
         angle_rad=float(np.angle(voltage_v)),
         voltage_v=float(abs(voltage_v)),
         power_va=complex(power_va),
         off=_off(response, source, float(abs(voltage_v))),
         rated_va=entry.factor * float(source.bases.get("rated_power_va", np.nan)),
+        basis=fit.basis,
     )
 
 
@@ -351,15 +369,17 @@ def check_known(name: str, point: Sequence[float] | np.ndarray, known_to: float)
         )
 
 
-def fitted(response: FrequencyResponse) -> tuple[RationalModel, int | None]:
-    """Model of a response and the number of its device's own unstable modes, None if nothing was proved."""
-    n_unstable = own_unstable(response)
-    return fit_response(response, n_unstable=n_unstable), n_unstable
+def fitted(response: FrequencyResponse) -> Fit:
+    """Model of one response, and what it rests on."""
+    rows, anchor = _proof(response)
+    model = fit_response(response, n_unstable=anchor.n_unstable)
+    return Fit(model, basis_of(response, rows, anchor, model))
 
 
-def own_unstable(response: FrequencyResponse) -> int | None:
-    """How many unstable modes a response's device has by itself; None if nothing was proved."""
-    return anchor_of(response.meta, rows_of(to_dq(response)), response.f1_hz).n_unstable
+def _proof(response: FrequencyResponse) -> tuple[Rows, Anchor]:
+    """Rows of a response, and what is proved of its device."""
+    rows = rows_of(to_dq(response))
+    return rows, anchor_of(response.meta, rows, response.f1_hz)
 
 
 def _off(response: FrequencyResponse, source: Source, voltage_v: float) -> float:

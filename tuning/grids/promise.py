@@ -15,6 +15,14 @@ from ...plant.errors import SeqsweepError
 from ..network.descriptor import Descriptor, J
 
 
+class Impedance(Protocol):
+    """Whatever a device is connected to, as long as its impedance is all that is asked."""
+
+    def impedance_dq(self, s: np.ndarray) -> np.ndarray:
+        """Zdq (n, 2, 2) in ohm at complex ``s`` (n,) in rad/s, dq frame."""
+        ...
+
+
 @runtime_checkable
 class Grid(Protocol):
     """A linear grid behind the PCC.
