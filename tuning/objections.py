@@ -125,8 +125,12 @@ def _unproved(case: Case) -> str:
 
 def _miscounted(case: Case) -> str:
     """The count of the device's own unstable poles is not what experiment says."""
-    model, anchor = case.model, case.anchor
-    if anchor is None or anchor.n_unstable is None or model.n_unstable == anchor.n_unstable:
+    return "" if case.anchor is None else said_of_count(case.model, case.anchor)
+
+
+def said_of_count(model: RationalModel, anchor: Anchor) -> str:
+    """What withholds a verdict where a fit has another number of unstable poles of the device's own than was proved."""
+    if anchor.n_unstable is None or model.n_unstable == anchor.n_unstable:
         return ""
     return (
         f"the device was stable on {anchor.where}, which takes {anchor.n_unstable} unstable poles of its own, and "
@@ -234,15 +238,18 @@ def _is_exact(rows: Rows, model: RationalModel) -> bool:
 
 def _swept_grid_denies(case: Case) -> str:
     """On the grid the table was swept on the fit has to be as stable as the device was seen to be."""
-    if case.anchor is None or case.anchor.grid is None:
-        return ""
-    unstable = unstable_on(case.model, case.anchor.grid)
+    return "" if case.anchor is None else said_of_swept_grid(case.model, case.anchor)
+
+
+def said_of_swept_grid(model: RationalModel, anchor: Anchor) -> str:
+    """What withholds a verdict where a fit is unstable on the grid on which the device was seen to be stable."""
+    unstable = np.zeros(0) if anchor.grid is None else unstable_on(model, anchor.grid)
     if len(unstable) == 0:
         return ""
     worst = unstable[np.argmax(unstable.real)]
     return (
-        f"the fit is unstable on {case.anchor.where}, where the device was seen to be stable, near "
-        f"{_place(case.model, abs(worst.imag) / (2.0 * np.pi))}: measure more points there"
+        f"the fit is unstable on {anchor.where}, where the device was seen to be stable, near "
+        f"{_place(model, abs(worst.imag) / (2.0 * np.pi))}: measure more points there"
     )
 
 
@@ -361,12 +368,20 @@ def _place_and_width(pole: complex) -> tuple[float, float]:
 
 def _hidden_in_hole(case: Case) -> str:
     """A slow mode far nearer to f1 than all rows, and narrower than its distance from them, is only guessed at."""
-    lowest = float(case.model.nu_hz[0])
     if case.loop.hole.start_hz > 0.0 or not case.stable:
         return ""
-    own, loop = (np.abs(poles) * _DEEP < 2.0 * np.pi * lowest for poles in (case.model.poles, case.loop.poles))
-    placed = all(near_f1.placed(case.model, int(k)) for k in np.flatnonzero(own))
-    if placed and all(_is_held(case, complex(pole)) for pole in case.loop.poles[loop]):
+    return said_of_hole(case.model, case.loop.poles, lambda pole: _is_held(case, pole))
+
+
+def said_of_hole(model: RationalModel, loop_poles: np.ndarray, is_held: Callable[[complex], bool]) -> str:
+    """What withholds a stable verdict where oscillations can be fed around f1; empty where no slow mode is guessed at.
+
+    ``is_held`` says of a closed-loop pole (rad/s) nearer to f1 than every row whether it is known on which side it is.
+    """
+    lowest = float(model.nu_hz[0])
+    own, loop = (np.abs(poles) * _DEEP < 2.0 * np.pi * lowest for poles in (model.poles, loop_poles))
+    placed = all(near_f1.placed(model, int(k)) for k in np.flatnonzero(own))
+    if placed and all(is_held(complex(pole)) for pole in loop_poles[loop]):
         return ""
     return f"slow modes decide, and the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
 

@@ -163,13 +163,13 @@ def _largest(x: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt((square + np.sqrt(np.maximum(square**2 - 4.0 * area**2, 0.0))) / 2.0))
 
 
-def _mutual(model: RationalModel, grid: Grid, s: np.ndarray) -> np.ndarray:
+def _mutual(model: RationalModel, grid: Impedance, s: np.ndarray) -> np.ndarray:
     """(Y + Yg)^-1 (n, 2, 2) in ohm."""
     z = grid.impedance_dq(s)
     return np.asarray(z @ np.linalg.inv(np.eye(2) + evaluate(model, s) @ z))
 
 
-def _harm(model: RationalModel, grids: Sequence[Grid], places: _Places) -> _Harm:
+def _harm(model: RationalModel, grids: Sequence[Impedance], places: _Places) -> _Harm:
     """Which residues make device and grid unstable, or hold on the second grid a mode that grows by itself.
 
     To first order a mode stands at p - tr(R H), H = (Y + Yg)^-1: it crosses the axis where Re tr(R H) is as large as

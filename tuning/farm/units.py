@@ -22,8 +22,9 @@ from ...identify.surrogate.store import surrogate_of
 from ...identify.surrogate.surrogate import Surrogate
 from ...identify.table.read import Table
 from ...plant.errors import nearest
-from ..anchor import Anchor, anchor_of
+from ..anchor import Anchor, anchor_of, recounted
 from ..basis import Basis, basis_of
+from ..objections import said_of_count, said_of_swept_grid
 from ..rows import Rows, rows_of
 from .entries import DeviceEntry, FarmEntry, FarmError
 from .loadflow import Draw, LoadFlow, load_flow
@@ -78,7 +79,7 @@ class Library:
 
     def _basis(self, key: str, response: FrequencyResponse, model: RationalModel) -> Basis:
         if key not in self._bases:
-            self._bases[key] = basis_of(response, *self._proofs[key], model)
+            self._bases[key] = _basis(response, *self._proofs[key], model)
         return self._bases[key]
 
 
@@ -373,13 +374,21 @@ def fitted(response: FrequencyResponse) -> Fit:
     """Model of one response, and what it rests on."""
     rows, anchor = _proof(response)
     model = fit_response(response, n_unstable=anchor.n_unstable)
-    return Fit(model, basis_of(response, rows, anchor, model))
+    return Fit(model, _basis(response, rows, anchor, model))
 
 
 def _proof(response: FrequencyResponse) -> tuple[Rows, Anchor]:
     """Rows of a response, and what is proved of its device."""
     rows = rows_of(to_dq(response))
     return rows, anchor_of(response.meta, rows, response.f1_hz)
+
+
+def _basis(response: FrequencyResponse, rows: Rows, anchor: Anchor, model: RationalModel) -> Basis:
+    """What a fit rests on; its problem may also be that it contradicts what was proved of the device."""
+    again = anchor if anchor.n_unstable == model.n_unstable else recounted(anchor, rows, model)
+    basis = basis_of(response, rows, again if again.n_unstable == model.n_unstable else anchor, model)
+    contradicts = said_of_count(model, basis.anchor) or said_of_swept_grid(model, basis.anchor)
+    return basis._replace(problem=basis.problem or contradicts)
 
 
 def _off(response: FrequencyResponse, source: Source, voltage_v: float) -> float:

@@ -13,7 +13,16 @@ import numpy as np
 
 from ..basis import Basis
 from ..feeding import hole_of
-from ..objections import LIGHTLY_DAMPED, is_fed_around, said_of_end, said_of_held, said_of_hidden, said_of_open
+from ..near_f1 import NEAREST_HZ
+from ..objections import (
+    LIGHTLY_DAMPED,
+    is_fed_around,
+    said_of_end,
+    said_of_held,
+    said_of_hidden,
+    said_of_hole,
+    said_of_open,
+)
 from ..poles import SURELY, ClosedLoop, crowded, is_swept
 from ..uncovered import KEPT, Seen, asked_if_stable
 from .participation import ModeParts
@@ -79,12 +88,14 @@ def _of_device(unit: Unit, basis: Basis, rest: Rest, upper: np.ndarray) -> Unsho
     loop = ClosedLoop(model.f1_hz, upper, np.zeros((len(upper), 2, 2)), np.zeros(len(upper), bool), None, None, hole)
     grids = (rest,) if anchor.grid is None else (rest, anchor.grid)
     hidden, why = asked_if_stable(Seen(model, loop, basis.rows, grids, None, crowded(model, hole)))
+    near = bool(model.nu_hz[0] <= NEAREST_HZ)  # rows that tell slow modes of a farm on which side they are
     size_ohm = float(np.linalg.norm(rest.impedance_dq(np.zeros(1, complex))[0], 2))
     withheld = (
         said_of_end(model, rest)
         or said_of_hidden(model, hidden)
         or said_of_open(model, anchor, anchor.still_open)
         or said_of_held(model, anchor, size_ohm)
+        or (said_of_hole(model, upper, lambda pole: near) if hole.start_hz == 0.0 else "")
     )
     harmless = 1.0 if hidden is None else hidden.harmless
     decays = 1.0 if anchor.still_open is None else anchor.still_open.decays
