@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate
-from .grids.promise import Impedance
+from .siso import Impedance
 
 ACTIVE = 0.01
 """Part of Y that feeds a wave from which on a device counts as active."""

@@ -14,12 +14,11 @@ from ..identify.uncertainty import NORMAL_95
 from . import near_f1
 from .anchor import Anchor, OpenMode
 from .feeding import ACTIVE, LOUD, activity, is_fed
-from .grids.promise import Impedance
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, is_swept, unstable_on
 from .probability import DECIDED, DECIDED_AT, Doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
 from .rows import Rows, difference, misfits
-from .siso import Grid
+from .siso import Grid, Impedance
 from .unseen import Unseen, overruled
 from .winding import Winding
 

@@ -9,12 +9,13 @@ import numpy as np
 from ..identify.frames import dq_to_pn
 from ..identify.response import FrequencyResponse
 from ..plant.errors import SeqsweepError
-from .grids.promise import Grid, check_fundamental, impedance_dq, impedance_pn, own_impedance
+from .grids.promise import Grid, Impedance, check_fundamental, impedance_dq, impedance_pn, own_impedance
 from .grids.series import SeriesRL
 from .grids.series import parse_series as parse_grid
 
 __all__ = [
     "Grid",
+    "Impedance",
     "SeriesRL",
     "Siso",
     "check_fundamental",

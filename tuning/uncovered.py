@@ -14,10 +14,9 @@ import numpy as np
 
 from ..identify.fit.rational import RationalModel, evaluate
 from .feeding import ACTIVE, LOUD, activity
-from .grids.promise import Impedance
 from .poles import ClosedLoop, is_swept, mode_weight
 from .rows import Rows
-from .siso import Grid
+from .siso import Grid, Impedance
 from .unseen import DENSE, Unseen, mutual_impedance, unseen
 
 ALLOWANCE = 0.005

@@ -25,7 +25,7 @@ import numpy as np
 from ..identify.fit.dq_data import ELEMENTS, DqData
 from ..identify.fit.order import LASTING, NARROWEST
 from ..identify.fit.rational import RationalModel, evaluate, row_slopes
-from .grids.promise import Impedance
+from .siso import Impedance
 
 SHOWN = 24.0
 """Evidence from which on the rows ask for a mode: noise on eight numbers a row hardly ever does."""
