@@ -13,7 +13,7 @@ from ..identify.fit.rational import RationalModel, evaluate
 from ..identify.uncertainty import NORMAL_95
 from . import near_f1
 from .anchor import Anchor, OpenMode
-from .feeding import ACTIVE, LOUD, activity, is_fed
+from .feeding import ACTIVE, LOUD, QUIET, REACH_HZ, activity, is_fed
 from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, is_swept, unstable_on
 from .probability import DECIDED, DECIDED_AT, Doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
@@ -85,9 +85,9 @@ def decide(case: Case) -> Ruling:
         (_judges_disagree, "contested"),
         (_swept_grid_denies, "denied"),
         (_left_out_row_denies, "sound"),
+        (_may_have_been_held, "sound"),
         (_may_hide, "sound"),
         (_may_grow, "sound"),
-        (_may_have_been_held, "sound"),
         (_improbable, "sound"),
         (_unswept, "sound"),
         (_grid_unmeasured, "sound"),
@@ -183,12 +183,15 @@ def _open_end(case: Case) -> str:
 
 def said_of_end(model: RationalModel, grid: Impedance) -> str:
     """What withholds a stable verdict at the end of the rows of a device; empty where it cannot oscillate beyond."""
-    if not _active_at_end(model, grid):
-        return ""
-    return (
-        f"the sweep ends at |f - f1| = {model.nu_hz[-1]:.4g} Hz, where the device is still active and the loop gain "
-        "above one: sweep to higher frequencies"
-    )
+    at_end = f"the sweep ends at |f - f1| = {model.nu_hz[-1]:.4g} Hz"
+    if _active_at_end(model, grid):
+        return f"{at_end}, where the device is still active and the loop gain above one: sweep to higher frequencies"
+    if _feeds_at_short_end(model, grid):
+        return (
+            f"{at_end}, where the device clearly feeds oscillations, and may have modes further out: sweep to higher "
+            "frequencies"
+        )
+    return ""
 
 
 def _mode_above(case: Case) -> str | None:
@@ -457,6 +460,14 @@ def _active_at_end(model: RationalModel, grid: Impedance) -> bool:
     before, gains = np.linalg.eigvals(evaluate(model, s) @ grid.impedance_dq(s))
     turning = any(_reaches_minus_one(gain, before) for gain in gains if abs(gain) > 1.0)
     return bool(turning and _activity_at_end(model) > ACTIVE)
+
+
+def _feeds_at_short_end(model: RationalModel, grid: Impedance) -> bool:
+    """Whether a band ends where a converter still has modes, on a device that clearly feeds whatever lies out there."""
+    end = float(model.nu_hz[-1])
+    s = 2j * np.pi * model.nu_hz[-1:]
+    gain = np.abs(np.linalg.eigvals(evaluate(model, s) @ grid.impedance_dq(s))).max()
+    return bool(end < REACH_HZ and gain > QUIET and _activity_at_end(model) > _CLEARLY)
 
 
 def _activity_at_end(model: RationalModel) -> float:

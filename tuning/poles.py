@@ -259,13 +259,14 @@ def crowded(model: RationalModel, hole: Hole) -> np.ndarray:
     """Gaps (n,) of the rows, each below its row, that hold several oscillating modes of the device, not surrounded.
 
     What rows outside know of a gap is the first terms of a series; a few modes there use them up, and may stand for
-    more. The first gap is the hole around f1, where nothing is asked if nothing is fed.
+    more. The first gap is the hole around f1, where nothing is asked if nothing is fed, and always where even one
+    mode makes what the fit says of it a guess.
     """
     nu_hz = model.poles.imag / (2.0 * np.pi)
     unswept = np.array([not is_swept(model, complex(pole)) for pole in model.poles], dtype=bool)
     inside = unswept & (nu_hz > 0.0) & (nu_hz < model.nu_hz[-1])
     number = np.bincount(np.searchsorted(model.nu_hz, nu_hz[inside]), minlength=len(model.nu_hz))
-    number[0] *= hole.start_hz == 0.0
+    number[0] = _SEVERAL if hole.guessed else number[0] * (hole.start_hz == 0.0)
     return np.asarray(number >= _SEVERAL)
 
 

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..identify.fit.order import NARROWEST
 from ..identify.fit.rational import RationalModel, evaluate
-from .feeding import ACTIVE, LOUD, activity
+from .feeding import ACTIVE, FAR_HZ, LOUD, QUIET, REACH_HZ, activity
 from .poles import ClosedLoop, is_swept, mode_weight
 from .rows import Rows
 from .siso import Grid, Impedance
@@ -26,11 +27,9 @@ that do not cover the question, all but one for modes that no row shows at all (
 KEPT = 3e-3
 """Part of itself by which Y of a device may differ on another grid, as that of a sampled one does."""
 
-_QUIET = 0.2  # loop gain below which an active device makes no loop oscillate, whatever its phase, with some to spare
 _FAINT = 0.1  # loop gain of all rows below which a mode between them matters only if it is ten times what they show
 _NEAR_HZ = 2.0  # rows that begin no further from f1 leave room for slow modes only, which the fit follows
-_FAR_HZ = 5.0  # rows that begin further away leave room for the loops of power, synchronisation and voltage
-_REACH_HZ = 500.0  # below this a converter's control and filter have modes, whatever it is where the rows end
+_SLIGHT = 2.0 * NARROWEST  # loop gain below which not even the peak of the narrowest mode further out reaches one
 _SPARE = 3  # rows for each pole from which on a fit would need a further one for what a gap hides
 _SURELY = 4.0  # standard errors of its real part from which on an unstable mode is there
 _BETWEEN = np.linspace(0.0, 1.0, 9)  # places in a gap
@@ -88,7 +87,7 @@ def passed_over(seen: Seen, hidden: Unseen | None) -> str:
     Where the loop gain of all rows is that small, such a mode has to be ten times as large as all that they show.
     """
     nu_hz, y = seen.rows.data.nu_hz, seen.rows.data.y
-    if hidden is None or not hidden.is_shown or nu_hz[0] > _FAR_HZ or np.max(_gain(seen, nu_hz, y)) > _FAINT:
+    if hidden is None or not hidden.is_shown or nu_hz[0] > FAR_HZ or np.max(_gain(seen, nu_hz, y)) > _FAINT:
         return ""
     place = f"{seen.model.f1_hz - hidden.nu_hz:.4g}/{seen.model.f1_hz + hidden.nu_hz:.4g} Hz"
     return (
@@ -103,19 +102,24 @@ def stated(probability: float, why: str) -> float:
 
 
 def _ends_early(seen: Seen) -> str:
-    """Above the band a loop whose gain is not small may do anything, unless the band is long and the device passive."""
+    """Above the band a loop whose gain is not small may do anything, unless the band is long and the device passive.
+
+    A band that ends where a converter still has modes tells nothing of them, passive or not: one of them that is
+    lightly damped has a peak many times as high as what the last rows show.
+    """
     end = float(seen.model.nu_hz[-1])
     last = seen.rows.data.nu_hz >= end / DENSE
     nu_hz, y = seen.rows.data.nu_hz[last], seen.rows.data.y[last]
     fitted = evaluate(seen.model, 2j * np.pi * nu_hz)
     passive = np.maximum(activity(y), activity(fitted)) < -ACTIVE
-    loud = _gain(seen, nu_hz, fitted) > _QUIET
-    if not np.any(loud & (~passive | (end < _REACH_HZ))):
+    gain = _gain(seen, nu_hz, fitted)
+    is_fed, is_short = bool(np.any((gain > QUIET) & ~passive)), end < REACH_HZ and np.max(gain) > _SLIGHT
+    if not is_fed and not is_short:
         return ""
-    what = "is not clearly passive" if np.any(loud & ~passive) else "may become active further out"
+    what = "is not clearly passive" if is_fed else "may become active further out"
     return (
-        f"the sweep ends at |f - f1| = {end:.4g} Hz, where the loop gain is above {_QUIET:g} and the device {what}: "
-        "sweep to higher frequencies"
+        f"the sweep ends at |f - f1| = {end:.4g} Hz, where the loop gain is above {QUIET if is_fed else _SLIGHT:g} and "
+        f"the device {what}: sweep to higher frequencies"
     )
 
 
@@ -124,7 +128,7 @@ def _begins_far(seen: Seen) -> str:
     lowest = float(seen.model.nu_hz[0])
     hole = np.linspace(0.0, lowest, len(_BETWEEN))
     loud = bool(np.any(_gain(seen, hole, evaluate(seen.model, 2j * np.pi * hole)) > LOUD))
-    if lowest <= _NEAR_HZ or (lowest <= _FAR_HZ and not loud):
+    if lowest <= _NEAR_HZ or (lowest <= FAR_HZ and not loud):
         return ""
     return f"the lowest |f - f1| in the table is {lowest:.3g} Hz: sweep nearer to f1"
 
@@ -150,12 +154,12 @@ def _may_feed(seen: Seen, low_hz: float, high_hz: float, crowded: bool) -> bool:
     at = low_hz + (high_hz - low_hz) * _BETWEEN
     y = evaluate(model, 2j * np.pi * at)
     gain = _gain(seen, at, y)
-    loud, fed = np.any(gain > LOUD), np.any((activity(y) > -ACTIVE) & (gain > _QUIET))
+    loud, fed = np.any(gain > LOUD), np.any((activity(y) > -ACTIVE) & (gain > QUIET))
     if crowded or len(model.nu_hz) < _SPARE * model.order:
         return bool(loud or fed)
     modes = np.concatenate([model.poles, seen.loop.poles])
     width_hz = np.abs(1j * np.pi * (low_hz + high_hz) - modes).min(initial=np.inf) / (2.0 * np.pi)
-    return bool(loud and high_hz - low_hz > width_hz and high_hz > _FAR_HZ)
+    return bool(loud and high_hz - low_hz > width_hz and high_hz > FAR_HZ)
 
 
 def _tells_no_more(seen: Seen) -> str:

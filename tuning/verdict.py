@@ -116,8 +116,10 @@ def judge(model: RationalModel, grid: Grid, rows: Rows | None = None, anchor: An
         hidden, why = asked_if_stable(seen) if stable else (None, uncovered_unstable(seen, grid))
     still_open = anchor.still_open if stable and anchor is not None else None
     ruling = decide(Case(model, grid, loop, winding, doubtful, rows, anchor, by_rows, hidden, still_open))
-    probability = min(doubtful.probability, 1.0 if still_open is None else still_open.decays)
-    probability *= 1.0 if hidden is None else hidden.harmless
+    harmless = 1.0 if hidden is None else hidden.harmless
+    probability = doubtful.probability * harmless
+    if still_open is not None:  # the slow mode that is open and one that rows do not exclude may be the same
+        probability = min(doubtful.probability, still_open.decays, harmless)
     return Stability(
         verdict=ruling.verdict,
         reason=ruling.reason,

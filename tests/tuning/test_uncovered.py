@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -33,10 +35,20 @@ def device(nu_hz: np.ndarray, size: float) -> np.ndarray:
     return base + above + size * mode
 
 
+def passive_but_for(modes: list[complex], nu_hz: np.ndarray, size: float) -> np.ndarray:
+    """A passive inductive device with a conductance beside it, and modes of one size that may be fed: (n, 2, 2)."""
+    s = 2j * np.pi * nu_hz[:, None, None]
+    base = np.array([[2.0, -1.0], [1.0, 1.5]]) / (1.0 + s / 300.0) + 0.3 * np.eye(2) / (1.0 + s / 1e5)
+    return base + sum(size * (RESIDUE / (s - p) + RESIDUE.conj() / (s - p.conjugate())) for p in modes)
+
+
 def table(nu_hz: np.ndarray, size: float, noise: float, seed: int) -> FrequencyResponse:
+    return table_of(nu_hz, device(nu_hz, size), noise, seed)
+
+
+def table_of(nu_hz: np.ndarray, y: np.ndarray, noise: float, seed: int) -> FrequencyResponse:
     """Rows above f1 with white noise of known covariance; the device rests on an ideal source."""
     rng = np.random.default_rng(seed)
-    y = device(nu_hz, size)
     std = noise * np.linalg.norm(y, axis=(1, 2)) / 2.0
     y = y + std[:, None, None] * (rng.normal(size=y.shape) + 1j * rng.normal(size=y.shape)) / np.sqrt(2.0)
     meta = {"op_id": "a", "stable_on": {"grid": "ideal", "growth_bound_per_s": 0.7, "disturbed_s": 10.0}}
@@ -49,9 +61,13 @@ def judged(nu_hz: np.ndarray, size: float, noise: float = 1e-4, seed: int = 0) -
 
 
 def unstable_poles(size: float) -> int:
+    return unstable_poles_of(lambda nu_hz: device(nu_hz, size), GRID)
+
+
+def unstable_poles_of(admittance: Callable[[np.ndarray], np.ndarray], grid: SeriesRL) -> int:
     """By counting the turns of det(1 + Y Z) on a locus of half a million points, the device itself being stable."""
     nu = np.unique(np.concatenate([np.linspace(0.0, 400.0, 500001), np.geomspace(400.0, 1e8, 4000)]))
-    locus = np.linalg.det(np.eye(2) + device(nu, size) @ GRID.impedance_dq(2j * np.pi * nu))
+    locus = np.linalg.det(np.eye(2) + admittance(nu) @ grid.impedance_dq(2j * np.pi * nu))
     return -round(float(np.sum(np.angle(locus[1:] / locus[:-1]))) / np.pi)
 
 
@@ -72,6 +88,42 @@ def test_a_mode_beyond_a_band_cut_short_is_never_overruled_with_certainty(size: 
     whole = judged(ALL, size)
     assert whole.verdict == "unstable"
     assert is_certain(whole)
+
+
+@pytest.mark.parametrize(("size", "unstable"), [(1.0, 0), (3.0, 2), (10.0, 4)])
+def test_one_pole_in_a_wide_hole_around_f1_does_not_stand_for_two(size: float, unstable: int) -> None:
+    """Modes 1.5 and 15.5 Hz from f1, rows from 49 Hz on, in which both are one pole; once that was called stable."""
+    modes = [-0.75 + 2j * np.pi * 1.5, -2.4 + 2j * np.pi * 15.5]
+    assert unstable_poles_of(lambda nu_hz: passive_but_for(modes, nu_hz, size), GRID) == unstable
+    nu_hz = np.linspace(49.0, 1950.0, 19)
+    point = tune_point(table_of(nu_hz, passive_but_for(modes, nu_hz, size), 1e-5, 0), GRID)
+    assert point.verdict == "undecided"
+    assert "the rows around f1" in point.reason
+
+
+def test_passivity_where_the_band_ends_closes_it_with_certainty_only_beyond_a_converters_modes() -> None:
+    """A mode at 350 Hz that the grid feeds, and rows up to 100 Hz, all passive, with a loop gain of 0.1."""
+    grid, modes = GRID.scaled(0.1), [-3.0 + 2j * np.pi * 350.0]
+    for size, unstable in ((0.0, 0), (60.0, 2)):
+        assert unstable_poles_of(lambda nu_hz, size=size: passive_but_for(modes, nu_hz, size), grid) == unstable
+        short, whole = (
+            tune_point(table_of(nu_hz, passive_but_for(modes, nu_hz, size), 1e-4, 0), grid)
+            for nu_hz in (ALL[ALL < 100.0], ALL)
+        )
+        assert (short.verdict, is_certain(short)) == ("stable", False)
+        assert short.stability is not None
+        assert "may become active further out" in short.stability.uncovered
+        assert (whole.verdict, is_certain(whole)) == ("unstable" if unstable else "stable", True)
+
+
+def test_a_device_that_clearly_feeds_oscillations_where_a_short_band_ends_is_not_called_stable() -> None:
+    """The activity of a hold is small or far out; a negative conductance at its size is neither."""
+    for highest_hz, verdict in ((200.0, "undecided"), (1500.0, "stable")):
+        nu_hz = ALL[highest_hz > ALL]
+        y = np.array([[0.3, 0.0], [0.0, -0.27]]) / (1.0 + 2j * np.pi * nu_hz[:, None, None] / 3000.0)
+        point = tune_point(table_of(nu_hz, y, 1e-5, 0), GRID)
+        assert point.verdict == verdict, point.reason
+        assert ("clearly feeds oscillations" in point.reason) == (verdict == "undecided")
 
 
 def test_rows_that_cover_the_question_keep_their_certainty() -> None:
