@@ -200,7 +200,8 @@ def _mode_above(case: Case) -> str | None:
     A device clearly active at the band's end feeds what is just above it.
     """
     model, loop = case.model, case.loop
-    above = (loop.f_hz > EDGE * model.nu_hz[-1]) & (np.abs(loop.poles) < _FAR * 2.0 * np.pi * model.nu_hz[-1])
+    reach_hz = max(_FAR * model.nu_hz[-1], REACH_HZ)
+    above = (loop.f_hz > EDGE * model.nu_hz[-1]) & (np.abs(loop.poles) < 2.0 * np.pi * reach_hz)
     doubtful = loop.poles.real > 3.0 * loop.std.real
     if _activity_at_end(model) > _CLEARLY:
         doubtful |= (loop.damping < RESONANCE_DAMPING) & ~loop.beyond
