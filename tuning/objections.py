@@ -14,7 +14,7 @@ from ..identify.uncertainty import NORMAL_95
 from . import near_f1
 from .anchor import Anchor, OpenMode
 from .feeding import ACTIVE, LOUD, QUIET, REACH_HZ, activity, is_fed
-from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, is_swept, unstable_on
+from .poles import EDGE, RESONANCE_DAMPING, ClosedLoop, is_beyond, is_swept, mode_weight, unstable_on
 from .probability import DECIDED, DECIDED_AT, Doubt
 from .remedy import advice_on_grid, grid_is_to_blame, remedy
 from .rows import Rows, difference, misfits
@@ -29,6 +29,7 @@ _CLEARLY = 0.3  # part of Y that feeds a wave from which on a device surely does
 _TREND = 1.3  # the turn of the loop gain at the band's end is read over this ratio of frequencies
 _UNEXPLAINED, _ROUGH = 2.0, 1e-3  # misfits in standard errors and relative to Y that no longer describe the rows
 _EXACT = 1e-6  # misfit relative to Y of a fit that meets the rows
+_BETWEEN_ROWS = 0.1  # part of itself to which Y is known at best where rows are far apart
 _DEEP = 8.0  # how many times nearer to f1 than all rows a mode is out of reach
 _FAR = 3.0  # a turn that would take so many times the band to reach -1 does not reach it
 _THE_SAME = 1.0 - 1e-6  # an impedance at f1 that is smaller by less, as by rounding, is the same
@@ -129,7 +130,15 @@ def _miscounted(case: Case) -> str:
 
 def said_of_count(model: RationalModel, anchor: Anchor) -> str:
     """What withholds a verdict where a fit has another number of unstable poles of the device's own than was proved."""
-    if anchor.n_unstable is None or model.n_unstable == anchor.n_unstable:
+    if anchor.n_unstable is None:
+        return ""
+    far = model.poles[(model.poles.real > 0.0) & is_beyond(model, model.poles)]
+    if len(far):
+        return (
+            f"the fit has an unstable pole of the device's own {abs(far[0]) / (2.0 * np.pi):.4g} Hz from f1, and the "
+            f"rows, which end at {model.nu_hz[-1]:.4g} Hz, do not tell it: sweep to higher frequencies, or more points"
+        )
+    if model.n_unstable == anchor.n_unstable:
         return ""
     return (
         f"the device was stable on {anchor.where}, which takes {anchor.n_unstable} unstable poles of its own, and "
@@ -339,15 +348,22 @@ def _unswept(case: Case) -> str:
     if hidden:
         return hidden
     unseen = [k for k in decisive if not _is_known(case, complex(loop.poles[k]))]
-    unseen = [
-        k for k in unseen if loop.poles[k].real > 0.0 or is_fed_around(case.model, case.grid, float(loop.f_hz[k]))
-    ]
+    unseen = [k for k in unseen if _may_cross(case, complex(loop.poles[k]))]
     if not unseen or (not case.stable and len(unseen) < len(decisive)) or _is_the_devices_own(case):
         return ""
     return (
         f"a mode at {_place(case.model, float(loop.f_hz[unseen[0]]))} decides, and the table has no usable rows around "
         "it: sweep there"
     )
+
+
+def _may_cross(case: Case, pole: complex) -> bool:
+    """Whether a mode that no rows surround may be on the other side of the axis than the fit has it."""
+    if pole.real > 0.0 or is_fed_around(case.model, case.grid, pole.imag / (2.0 * np.pi)):
+        return True
+    size = np.linalg.norm(evaluate(case.model, np.array([1j * pole.imag]))[0], 2)
+    moved = np.linalg.norm(mode_weight(case.model, case.grid, np.array([pole]))[0]) * size
+    return bool(_BETWEEN_ROWS * moved > -pole.real)
 
 
 def _grid_unmeasured(case: Case) -> str:

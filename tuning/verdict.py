@@ -23,7 +23,8 @@ from .uncovered import Seen, asked_if_stable, stated, uncovered_unstable
 from .winding import Winding, about, refine_locus, wind
 
 _PLACED = 0.03  # a well damped mode is named if its place is known to this part of itself
-_SHARP = 1e-3  # a mode of a contested fit is named if its place is known to this part of itself
+_SHARP = 1e-3  # a mode of a contested fit is named if its place is known to this part of itself,
+_TOLD = 0.1  # and its real part to this part of itself, or of `_SHARP` of the mode where it is next to the axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +148,7 @@ def _beside(ruling: Ruling, loop: ClosedLoop) -> ClosedLoop:
 
     A well damped mode is the least sure of all: the fit of another order has it elsewhere. Beside a stable verdict it
     has to be placed; where no verdict is given, or an aperiodic mode makes the loop unstable, it is not what matters.
-    Where the fit is contested, a mode has to be known sharply; where it is denied, none is.
+    Where the fit is contested, a mode has to be known sharply, place and damping; where it is denied, none is.
     """
     k = loop.critical
     if k is None:
@@ -156,7 +157,8 @@ def _beside(ruling: Ruling, loop: ClosedLoop) -> ClosedLoop:
     if ruling.verdict == "stable":
         is_named = is_light or vague < _PLACED
     else:
-        is_named = is_light and (ruling.fit == "sound" or (ruling.fit == "contested" and vague < _SHARP))
+        told = loop.std[k].real < _TOLD * max(abs(loop.poles[k].real), _SHARP * abs(loop.poles[k]))
+        is_named = is_light and (ruling.fit == "sound" or (ruling.fit == "contested" and vague < _SHARP and bool(told)))
     return loop if is_named else replace(loop, critical=None, withheld=k)
 
 

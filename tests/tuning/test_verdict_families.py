@@ -280,6 +280,22 @@ def test_a_mode_that_stays_beside_a_pole_which_counts_twice_is_no_resonance(
     assert not is_phantom(case), line_of(case)
 
 
+@pytest.mark.parametrize(("index", "words"), [(172, "unstable pole of the device's own"), (433, "no usable rows around")])
+def test_what_rows_do_not_reach_carries_no_verdict(index: int, words: str, tmp_path: Path) -> None:
+    """A droop unit whose count was met by a pole five bands out; a mode in a gap that a twentieth of Y would move."""
+    cases = cases_of(515572, index, 0.58, 3, tmp_path)
+    assert {case.truth.stable for case in cases} == {True, False}
+    assert [line_of(c) for c in cases if c.wrong] == []
+    assert any(words in case.said.reason for case in cases)
+
+
+def test_pole_that_nothing_proves_is_no_resonance_where_its_damping_is_a_guess(tmp_path: Path) -> None:
+    """Two grid-forming inverters, a table that says nothing of where they were stable: a spurious pole was named."""
+    cases = cases_of(515572, 1912, 0.58, 3, tmp_path)
+    assert [line_of(c) for c in cases if np.isfinite(c.said.resonance.real) and is_phantom(c)] == []
+    assert np.isfinite(cases[0].said.resonance.real)
+
+
 @pytest.mark.parametrize(("seed", "index", "grid"), [(71001, 347, 2), (71001, 2, 0)])
 def test_a_device_unstable_by_itself_is_counted_where_its_rows_are_far_apart(
     seed: int, index: int, grid: int, tmp_path: Path
