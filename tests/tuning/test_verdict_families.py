@@ -280,7 +280,9 @@ def test_a_mode_that_stays_beside_a_pole_which_counts_twice_is_no_resonance(
     assert not is_phantom(case), line_of(case)
 
 
-@pytest.mark.parametrize(("index", "words"), [(172, "unstable pole of the device's own"), (433, "no usable rows around")])
+@pytest.mark.parametrize(
+    ("index", "words"), [(172, "unstable pole of the device's own"), (433, "no usable rows around")]
+)
 def test_what_rows_do_not_reach_carries_no_verdict(index: int, words: str, tmp_path: Path) -> None:
     """A droop unit whose count was met by a pole five bands out; a mode in a gap that a twentieth of Y would move."""
     cases = cases_of(515572, index, 0.58, 3, tmp_path)
