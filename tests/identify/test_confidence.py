@@ -204,10 +204,10 @@ def test_intervals_cover_in_2000_trials(estimated: bool) -> None:
 
 
 def test_intervals_cover_in_a_few_trials() -> None:
-    """Some 45 trials leave 3 % of doubt on a coverage; three times that is allowed."""
-    found = [*coverage(4, 6, 3, estimated=False).values(), *coverage(4, 6, 4, estimated=True).values()]
+    """Some 25 trials leave 4 % of doubt on a coverage; three times that is allowed."""
+    found = [*coverage(2, 6, 3, estimated=False).values(), *coverage(2, 6, 4, estimated=True).values()]
     trials = [t for decade in found for t in decade]
-    assert len(trials) >= 40
+    assert len(trials) >= 20
     for key in Covered._fields:
         assert np.mean([getattr(t, key) for t in trials]) > 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(trials))
 
@@ -429,12 +429,12 @@ def test_y1_s_errors_are_those_of_many_tables() -> None:
     f, grid = np.array([30.0, 76.0, 300.0]), at.edge
     rng = np.random.default_rng(4)
     found, expected = [], []
-    for _ in range(40):
+    for _ in range(20):
         model = fit_response(table(at.y, 1e-3, rng))
         found.append(np.log(siso(f, evaluate_pn(model, f), grid).y1))
         expected.append(relative_error_of_y1(model, grid, f))
     scattered = np.std(np.array(found).real, axis=0), np.std(np.array(found).imag, axis=0)
-    np.testing.assert_allclose(scattered, np.median(expected, axis=0), rtol=0.5)  # 11 % by chance, the rest by order
+    np.testing.assert_allclose(scattered, np.median(expected, axis=0), rtol=0.5)  # 16 % by chance, the rest by order
 
 
 def test_numbers_are_written_with_as_many_digits_as_they_have() -> None:

@@ -213,7 +213,7 @@ def test_stiff_droop_is_unstable_on_strong_grids_alone(stiff_table: FrequencyRes
 
 
 @pytest.mark.parametrize("first_hz", [6.0, 19.0, 46.0, 60.0, 80.0])
-@pytest.mark.parametrize("scr", [60.0, 90.0, 300.0])
+@pytest.mark.parametrize("scr", [60.0, pytest.param(90.0, marks=pytest.mark.evidence), 300.0])
 def test_rows_far_from_f1_do_not_make_a_stiff_droop_stable(first_hz: float, scr: float) -> None:
     """Its own modes, 14 Hz from f1, grow on stiffer grids than the one on which it rested; once it was certain that
     they decay."""

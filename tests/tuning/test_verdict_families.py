@@ -254,7 +254,7 @@ SEED = 12
 """Of the part that every change is tried on; `make evidence` takes a new one each time."""
 
 
-@pytest.mark.parametrize("first", [0, 5, *(pytest.param(k, marks=pytest.mark.evidence) for k in range(10, 50, 5))])
+@pytest.mark.parametrize("first", [0, *(pytest.param(k, marks=pytest.mark.evidence) for k in range(5, 50, 5))])
 def test_no_verdict_is_wrong(first: int, tmp_path: Path) -> None:
     """Five tables, one of each family, on three grids each; a verdict may be withheld, but not be wrong."""
     cases = [case for index in range(first, first + 5) for case in cases_of(SEED, index, 0.15, 3, tmp_path)]
