@@ -22,7 +22,7 @@ from seqsweep.sweep.run.child import Child, ChildFailed, child, scratch
 from seqsweep.sweep.run.host import plant_or_card
 from seqsweep.sweep.run.spare import spare_children
 
-from ..support.commands import TOP, call, campaign, end_group, is_alive, start, wait_for
+from ..support.commands import TOP, call, campaign, command, end_group, is_alive, start, wait_for
 from ..support.questions import (
     dies,
     kills_itself,
@@ -270,7 +270,7 @@ def test_the_runner_plans_and_runs_a_foreign_plant_without_importing_it(tmp_path
 
 def test_a_plan_says_so_where_the_stopwatch_stops(tmp_path):
     """The plant says what it is, but cannot be driven: the plan stands, its wall time is unknown."""
-    planned = call("plan", campaign(tmp_path, plant="python:plants:UnwillingBranch", n=4))
+    planned = command("plan", campaign(tmp_path, plant="python:plants:UnwillingBranch", n=4))
     assert planned.returncode == 0
     assert planned.stdout.splitlines()[-1] == "wall time unknown: no licence server found"
 
