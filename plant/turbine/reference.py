@@ -266,9 +266,7 @@ class ReferenceTurbine:
             return np.zeros((0, 4, LANES))
         periods = [period_of(tuple(self._forced(job)), rows_per_s, n_rows) for job in jobs]
         table = side_by_side(list(zip(periods, begins, strict=True)), LANES)
-        self._table = SourceTable(
-            [(job.injection, job.state.source, job.state.v_source) for job in jobs], begins, table
-        )
+        self._table = SourceTable.of(jobs, begins, table)
         return table
 
     def _forced(self, job: Job) -> list[network.Forced]:
